@@ -18,7 +18,7 @@ from dieseltwin.recordings.derived import AMBIENT, DERIVATIONS, STAND_IN_PA
 from dieseltwin.recordings.guess.facts import Facts, signals_of
 from dieseltwin.recordings.guess.machines import DIESEL, PETROL, Machine
 from dieseltwin.recordings.guess.propose import Proposal, propose
-from dieseltwin.recordings.guess.words import channel_lines, guess_lines, map_text, missing, remarks
+from dieseltwin.recordings.guess.words import channel_lines, guess_lines, guessed_clock, map_text, missing, remarks
 from dieseltwin.recordings.importers.content import ENDINGS
 from dieseltwin.recordings.importers.read import read_raw
 from dieseltwin.report.over_time import overview
@@ -90,7 +90,7 @@ class ChannelsFound(Result):
         """One row a channel: unit, rate [Hz], low, median, high, remarks, and the column that it is taken for."""
         taken = {candidate.channel: column for column, candidate in self.proposal.guesses.items()}
         if self.proposal.clock is not None:
-            taken[self.proposal.clock[0]] = TIME
+            taken[self.proposal.clock.name] = TIME
         rows = [{"channel": fact.name, "unit": fact.unit, "rate_hz": _rate(fact), "low": fact.low,
                  "median": fact.median, "high": fact.high, "remarks": ", ".join(remarks(fact)),
                  "column": taken.get(fact.name)} for fact in self.proposal.facts.values()]  # fmt: skip
@@ -126,7 +126,10 @@ class ChannelsFound(Result):
         }  # fmt: skip
         return {
             "sentence": self.sentence, "kind": proposal.raw.kind, "notes": list(proposal.raw.notes),
-            "clock": None if clock is None else {"channel": clock[0], "seconds": clock[1]},
+            "clock": None if clock is None else {
+                "channel": clock.name, "seconds": clock.unit_s,
+                "warnings": [] if clock.guessed_by is None else [guessed_clock(clock, clock.guessed_by)],
+            },
             "table": proposal.raw.table is not None,
             "cylinders": proposal.cylinders, "cylinders_given": proposal.cylinders_given,
             "channels": [{str(key): None if pd.isna(value) else value for key, value in row.items()}

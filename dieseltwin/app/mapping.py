@@ -77,7 +77,7 @@ def form_rows(found: Mapping[str, Any], content: Content) -> tuple[Row, ...]:
 def _row(quantity: Quantity, found: Mapping[str, Any], used: tuple[str, Mapping[str, Any]] | None) -> Row:
     names = [channel["channel"] for channel in found["channels"]]
     guess = found["guesses"].get(quantity.column)
-    clock = found["clock"]["channel"] if found["clock"] and quantity.column == "time_s" else None
+    clock = found["clock"] if quantity.column == "time_s" else None
     entry: Mapping[str, Any] = {}
     name = None
     if used is not None:
@@ -93,8 +93,9 @@ def _row(quantity: Quantity, found: Mapping[str, Any], used: tuple[str, Mapping[
         if guess is not None and guess["channel"] == name:
             words = [*guess["warnings"], *guess["reasons"]]
             state = "check" if guess["warnings"] else "found"
-        elif name == clock:
-            words = ["it rises like a clock"]
+        elif clock is not None and name == clock["channel"]:
+            words = [*clock["warnings"], "it rises like a clock"]
+            state = "check" if clock["warnings"] else "found"
     elif quantity.cost:
         state = "missing"
     return Row(quantity, tuple(channels), tuple(_readings(quantity, entry)), f"{entry.get('scale', 1.0):.10g}",

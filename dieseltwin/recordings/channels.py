@@ -35,6 +35,7 @@ from dieseltwin.recordings.derived import (
     Made,
 )
 from dieseltwin.recordings.error_codes import without_codes
+from dieseltwin.recordings.time_units import SECONDS
 from dieseltwin.sensors import MEASURED, NEEDED
 from dieseltwin.settings.strict import StrictModel, did_you_mean, listed, read_mapping, unknown_name, validate
 
@@ -83,8 +84,7 @@ CONVERSIONS: Mapping[str, Mapping[str, tuple[float, float]]] = {
     "mg/cycle": {"mg/cycle": (1.0, 0.0), "mg": (1.0, 0.0), "g/cycle": (1e3, 0.0), "kg/cycle": (1e6, 0.0)},
     "N m": {"N m": (1.0, 0.0), "Nm": (1.0, 0.0), "kN m": (1e3, 0.0)},
     "W": {"W": (1.0, 0.0), "kW": (1e3, 0.0)},
-    "s": {"s": (1.0, 0.0), "ms": (1e-3, 0.0), "us": (1e-6, 0.0), "min": (60.0, 0.0), "h": (3600.0, 0.0),
-          "d": (86400.0, 0.0)},
+    "s": {unit: (size, 0.0) for unit, size in SECONDS.items()},
 }
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -12,6 +12,7 @@ from dieseltwin.recordings.held import own_readings
 from dieseltwin.recordings.importers.layout import unit_in_name
 from dieseltwin.recordings.importers.numeric_clocks import is_clock_name
 from dieseltwin.recordings.importers.signals import RawChannels, Signal
+from dieseltwin.recordings.time_units import SECONDS, likely_unit, told_unit
 
 GAP_STEPS = 3.0  # a pause longer than three usual steps is a gap
 FEW_LEVELS = 0.5  # of the readings: a channel with fewer distinct values than that has a step to name
@@ -61,8 +62,7 @@ def signals_of(raw: RawChannels) -> dict[str, Signal]:
     clock = clock_of(raw)
     times = None
     if clock is not None:
-        name, scale = clock
-        times = raw.table[name].to_numpy(dtype=np.float64) * scale
+        times = raw.table[clock.name].to_numpy(dtype=np.float64) * clock.unit_s
     found = {}
     for column in raw.table.columns:
         values = raw.table[column]
@@ -73,14 +73,22 @@ def signals_of(raw: RawChannels) -> dict[str, Signal]:
     return found
 
 
-_SECONDS: Mapping[str, float] = {
-    "s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "min": 60.0, "h": 3600.0, "d": 86400.0}  # fmt: skip
 SPREADSHEET_DAYS = (3.6e4, 6.0e4)  # days since 1900 as spreadsheets count dates: 1998 to 2064
-QUICKEST_ROWS_S = 1e-4  # a table of driving has rows further apart
 
 
-def clock_of(raw: RawChannels) -> tuple[str, float] | None:
-    """The column of a table that is its time, and its unit in s; None where no column rises like one.
+class Clock(NamedTuple):
+    """The column of a table that is its time, and the size of its unit [s].
+
+    `guessed_by` is its step where nothing but that says the unit, and it isn't taken as s.
+    """
+
+    name: str
+    unit_s: float
+    guessed_by: float | None = None
+
+
+def clock_of(raw: RawChannels) -> Clock | None:
+    """The column of a table that is its time; None where no column rises like one.
 
     Without a unit, seconds and milliseconds are told apart by which gives a sensible rate.
     """
@@ -100,12 +108,13 @@ def clock_of(raw: RawChannels) -> tuple[str, float] | None:
     if not rising:
         return None
     _, name, step = min(rising, key=lambda item: (item[0], item[1] != "time_s", raw.names.index(item[1])))
-    unit = (raw.units.get(name) or unit_in_name(name) or "").lower()
-    if unit in _SECONDS:
-        return name, _SECONDS[unit]
-    if SPREADSHEET_DAYS[0] < float(np.median(raw.table[name])) < SPREADSHEET_DAYS[1] and step < QUICKEST_ROWS_S:
-        return name, _SECONDS["d"]
-    return name, 1.0 if QUICKEST_ROWS_S <= step < 5.0 else 1e-3 if step < 5e3 else 1e-6
+    unit_s = told_unit(name, raw.units.get(name))
+    if unit_s is not None:
+        return Clock(name, unit_s)
+    unit_s = likely_unit(step)
+    days = SPREADSHEET_DAYS[0] < float(np.median(raw.table[name])) < SPREADSHEET_DAYS[1]
+    told = unit_s == SECONDS["s"] or (unit_s == SECONDS["d"] and days)
+    return Clock(name, unit_s, None if told else step)
 
 
 def facts_of(signal: Signal) -> Facts:

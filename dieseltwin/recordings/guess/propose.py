@@ -12,7 +12,7 @@ import numpy as np
 
 from dieseltwin.recordings.channels import ChannelMap, unit_of
 from dieseltwin.recordings.guess.evidence import Support
-from dieseltwin.recordings.guess.facts import Facts, clock_of, facts_of, signals_of
+from dieseltwin.recordings.guess.facts import Clock, Facts, clock_of, facts_of, signals_of
 from dieseltwin.recordings.guess.machines import DIESEL, PETROL, Machine
 from dieseltwin.recordings.guess.names import Meaning, Vocabulary, spn_of, vocabulary, words_of
 from dieseltwin.recordings.guess.physics import (
@@ -79,7 +79,7 @@ class Proposal:
         facts: channel -> figures.
         guesses: our column -> the chosen candidate, warnings and reasons complete.
         others: channel -> what else it could be, channels that are not chosen included.
-        clock: column of a table that is its time, and its unit in s.
+        clock: column of a table that is its time, and its unit.
         cylinders: number used for fuel and air per stroke, and whether somebody gave it.
         cylinders_given: False where the number is an assumption.
         database: DBC that the trace was read with.
@@ -92,7 +92,7 @@ class Proposal:
     facts: Mapping[str, Facts]
     guesses: Mapping[str, Candidate]
     others: Mapping[str, tuple[Candidate, ...]]
-    clock: tuple[str, float] | None
+    clock: Clock | None
     cylinders: int
     cylinders_given: bool
     database: Path | None

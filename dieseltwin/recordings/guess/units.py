@@ -7,6 +7,8 @@ import unicodedata
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from dieseltwin.recordings.time_units import SPELLINGS
+
 # dimension -> our spelling -> spellings met in files (lower case, blanks and brackets gone)
 _SPELLINGS: Mapping[str, Mapping[str, str]] = {
     "pressure": {
@@ -46,7 +48,7 @@ _SPELLINGS: Mapping[str, Mapping[str, str]] = {
     },
     "torque": {"Nm": "nm n·m n*m n.m newtonmeter", "kN m": "knm"},
     "number": {"1": "1 - -- ratio lambda none"},
-    "time": {"s": "s sec", "ms": "ms", "us": "us µs", "min": "min", "h": "h"},
+    "time": SPELLINGS,
     "other": {
         "V": "v mv volt", "A": "a", "km/h": "km/h m/s mph kph", "kW": "kw w ps hp", "ppm": "ppm", "g/kWh": "g/kwh",
         "deg": "° deg °ca degca °kw", "m/s2": "m/s2 m/s² g/g", "mg/m3": "mg/m3 1/m fsn mg/l",

@@ -8,11 +8,13 @@ import yaml
 
 from dieseltwin.recordings.channels import TIME
 from dieseltwin.recordings.derived import DIESEL_KG_L, STAND_IN_PA
-from dieseltwin.recordings.guess.facts import Facts
+from dieseltwin.recordings.guess.facts import Clock, Facts
 from dieseltwin.recordings.guess.propose import Candidate, Proposal
+from dieseltwin.recordings.time_units import SECONDS
 from dieseltwin.symbols import BY_COLUMN
 
 NAME_WIDTH = 44
+_UNITS_OF_TIME = {size: unit for unit, size in SECONDS.items()}
 
 
 def channel_lines(proposal: Proposal) -> Iterator[str]:
@@ -22,7 +24,9 @@ def channel_lines(proposal: Proposal) -> Iterator[str]:
     for note in raw.notes:
         yield f"  {note}"
     if proposal.clock is not None:
-        yield f"  time is {proposal.clock[0]!r}, in units of {proposal.clock[1]:g} s"
+        yield f"  time is {proposal.clock.name!r}, in units of {proposal.clock.unit_s:g} s"
+        if proposal.clock.guessed_by is not None:
+            yield f"  CHECK: {guessed_clock(proposal.clock, proposal.clock.guessed_by)}"
     elif raw.table is not None:
         yield "  no column of time: steady points, or name it in the channel map"
     yield ""
@@ -31,6 +35,12 @@ def channel_lines(proposal: Proposal) -> Iterator[str]:
         rate = "" if fact.step_s is None else f"{1.0 / fact.step_s:.4g} Hz" if fact.step_s > 0.0 else "?"
         yield (f"{fact.name[:NAME_WIDTH]:<{NAME_WIDTH}} {(fact.unit or '')[:9]:<9} {rate:>8} {fact.low:>10.5g} "
                f"{fact.median:>10.5g} {fact.high:>10.5g}  {', '.join(remarks(fact))}").rstrip()  # fmt: skip
+
+
+def guessed_clock(clock: Clock, step: float) -> str:
+    """What is to be checked about a clock whose unit nothing says."""
+    return (f"{clock.name!r} has no unit and steps by {step:.6g}, taken as {_UNITS_OF_TIME[clock.unit_s]} for rows 1 "
+            "to 100 times a second: correct its unit in the channel map if it is another")  # fmt: skip
 
 
 def remarks(fact: Facts) -> list[str]:
@@ -118,10 +128,11 @@ def map_text(proposal: Proposal) -> str:
     ]
     if proposal.database is not None:
         lines.append(f"dbc: {_scalar(str(proposal.database.resolve()))}")
-    if proposal.clock is not None and proposal.clock[0] != TIME:
-        name, scale = proposal.clock
-        unit = {1.0: "s", 1e-3: "ms", 1e-6: "us", 60.0: "min", 3600.0: "h", 86400.0: "d"}[scale]
-        lines.append(f"{_scalar(name)}: {{column: {TIME}, unit: {unit}}}")
+    clock = proposal.clock
+    if clock is not None and clock.name != TIME:
+        lines.append(f"{_scalar(clock.name)}: {{column: {TIME}, unit: {_UNITS_OF_TIME[clock.unit_s]}}}")
+        if clock.guessed_by is not None:
+            lines.append(f"# CHECK: {guessed_clock(clock, clock.guessed_by)}")
     unmet = needed_but_unmapped(proposal)
     for column in proposal.machine.order:
         if column in proposal.guesses:
@@ -129,8 +140,9 @@ def map_text(proposal: Proposal) -> str:
     lines.extend(f"# {column} not found: {proposal.machine.costs[column]}" for column in missing(proposal))
     lines.extend(f"# CHECK: {column}: {unconverted(*channel)}" for column, channel in proposal.unconverted.items())
     taken = {candidate.channel for candidate in proposal.guesses.values()}
-    clock = proposal.clock[0] if proposal.clock is not None else None
-    rest = [fact for name, fact in proposal.facts.items() if name not in taken and name != clock]
+    if clock is not None:
+        taken.add(clock.name)
+    rest = [fact for name, fact in proposal.facts.items() if name not in taken]
     if rest:
         lines.append("# Not used:")
         lines.extend(f"#   {_scalar(fact.name)}  {fact.low:.4g} to {fact.high:.4g} {fact.unit or ''}".rstrip()

@@ -63,7 +63,7 @@ def seconds_from_stamps(frame: pd.DataFrame, where: str) -> tuple[pd.DataFrame, 
     """Replace date stamps by seconds from the first row.
 
     A column of dates beside one of times of day is taken together with it. Clocks that are put back or forward by an
-    hour go on, and rows between stamps without enough digits are spread evenly.
+    hour go on.
 
     Returns:
         The table, the unit of each replaced column, and notes.
@@ -83,9 +83,8 @@ def seconds_from_stamps(frame: pd.DataFrame, where: str) -> tuple[pd.DataFrame, 
     notes: list[str] = []
 
     def replace_by(name: str, seconds: np.ndarray, note: str) -> None:
-        frame[name], spread = spread_evenly(seconds)
-        units[name] = "s"
-        notes.extend([note, *spread])
+        frame[name], units[name] = seconds, "s"
+        notes.append(note)
 
     if dates and times:
         joined = frame[dates[0]].astype(str) + " " + frame[times[0]].astype(str)

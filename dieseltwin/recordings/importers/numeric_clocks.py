@@ -7,6 +7,7 @@ import pandas as pd
 
 from dieseltwin.recordings.channels import TIME
 from dieseltwin.recordings.importers.clock import DAY_S, going_on, seconds_from_stamps, spread_evenly
+from dieseltwin.recordings.importers.long_table import parts_of
 
 _CLOCK_WORDS = ("time", "zeit", "stamp", "stempel", "sekunde", "second", "temps")
 _CLOCK_NAMES = ("t", "s", "ts", "t_s", "x", "tout")
@@ -19,6 +20,8 @@ MINUTES = 0.5  # s by which the steps over full minutes may be off
 def in_seconds(frame: pd.DataFrame, where: str) -> tuple[pd.DataFrame, dict[str, str], list[str]]:
     """The table with date stamps, spans of time and numbers that are stamps replaced by seconds from the first row.
 
+    Rows between the steps of a clock without enough digits are spread evenly.
+
     Returns:
         The table, the unit of each replaced column, and notes.
 
@@ -30,20 +33,20 @@ def in_seconds(frame: pd.DataFrame, where: str) -> tuple[pd.DataFrame, dict[str,
         frame = frame.assign(**{name: frame[name] / pd.Timedelta(seconds=1) for name in spans})
     frame, units, notes = seconds_from_stamps(frame, where)
     units = units | dict.fromkeys(spans, "s")
-    for name in map(str, frame.columns):
-        column = frame[name]
-        if name in units or not is_clock_name(name) or not pd.api.types.is_numeric_dtype(column) or len(column) < 2:
-            continue
-        values = column.to_numpy()
-        found = _of_digits(values)
+    clocks = [name for name in map(str, frame.columns) if name not in units and is_clock_name(name)
+              and pd.api.types.is_numeric_dtype(frame[name]) and len(frame) > 1]  # fmt: skip
+    for name in clocks:
+        found = _of_digits(frame[name].to_numpy())
         if found is not None:
             values, text, changed = found
-            units[name] = "s"
+            frame, units[name] = frame.assign(**{name: values}), "s"
             notes = [*notes, f"{name} holds {text} as numbers; taken as s from the first row", *changed]
-        values, spread = spread_evenly(values.astype(np.float64))
-        if found is not None or spread:
-            frame = frame.assign(**{name: values})
-            notes = [*notes, *spread]
+    if parts_of(frame) is not None:
+        return frame, units, notes  # readings of several channels share a time there
+    for name in dict.fromkeys([*units, *clocks]):
+        values, spread = spread_evenly(frame[name].to_numpy(dtype=np.float64))
+        if spread:
+            frame, notes = frame.assign(**{name: values}), [*notes, *spread]
     return frame, units, notes
 
 

@@ -21,7 +21,7 @@ from dieseltwin.recordings.guess.facts import clock_of, facts_of, signals_of
 from dieseltwin.recordings.guess.names import vocabulary, words_of
 from dieseltwin.recordings.guess.propose import LEAST_SCORE, Proposal, propose
 from dieseltwin.recordings.guess.units import understood
-from dieseltwin.recordings.guess.words import map_text
+from dieseltwin.recordings.guess.words import channel_lines, map_text
 from dieseltwin.recordings.importers.read import read_raw
 from dieseltwin.recordings.importers.signals import RawChannels, Signal, unique_names
 from dieseltwin.recordings.reader import read_recording
@@ -376,7 +376,31 @@ def test_milliseconds_are_told_from_seconds(tmp_path, known):
     for scale, expected_scale in ((1.0, 1.0), (1e3, 1e-3)):
         frame = pd.DataFrame({"Time": known["time_s"] * scale, "RPM": known["n_e_rpm"]})
         frame.to_csv(tmp_path / "drive.csv", index=False)
-        assert clock_of(read_raw(tmp_path / "drive.csv")) == ("Time", expected_scale)
+        found = clock_of(read_raw(tmp_path / "drive.csv"))
+        assert found is not None and (found.name, found.unit_s) == ("Time", expected_scale)
+
+
+@pytest.mark.parametrize(("name", "step", "unit"), [
+    ("Time (minutes)", 1.0 / 60.0, "min"), ("Zeit [Minuten]", 0.2, "min"), ("Time (mins)", 0.01, "min"),
+    ("Time (hours)", 1e-4, "h"), ("Zeit (Stunden)", 1e-4, "h"), ("Time [ns]", 2e8, "ns"), ("time_ms", 200.0, "ms"),
+    ("Time", 0.2, "s"), ("Time [s]", 60.0, "s"),
+])  # fmt: skip
+def test_a_clock_is_in_the_unit_that_its_name_says(tmp_path, known, name, step, unit):
+    frame = pd.DataFrame({name: step * np.arange(len(known["time_s"])), "RPM": known["n_e_rpm"]})
+    frame.to_csv(tmp_path / "drive.csv", index=False)
+    text = map_text(propose(read_raw(tmp_path / "drive.csv")))
+    assert yaml.safe_load(text)[name] == {"column": "time_s", "unit": unit} and f"CHECK: '{name}'" not in text
+
+
+@pytest.mark.parametrize(("step", "unit"), [(10.0, "ms"), (60.0, "ms"), (2e5, "us"), (2e8, "ns"), (2.3e-6, "d")])
+def test_a_clocks_unit_that_is_guessed_is_to_be_checked(tmp_path, known, step, unit):
+    """Rows of 10 s were taken as rows of 10 ms without a word."""
+    frame = pd.DataFrame({"Time": step * np.arange(len(known["time_s"])), "RPM": known["n_e_rpm"]})
+    frame.to_csv(tmp_path / "drive.csv", index=False)
+    proposal = propose(read_raw(tmp_path / "drive.csv"))
+    assert yaml.safe_load(map_text(proposal))["Time"]["unit"] == unit
+    told = f"CHECK: 'Time' has no unit and steps by {step:.6g}, taken as {unit}"
+    assert told in map_text(proposal) and any(told in line for line in channel_lines(proposal))
 
 
 def test_a_map_survives_awkward_names(tmp_path, known):

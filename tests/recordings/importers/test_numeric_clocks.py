@@ -53,7 +53,8 @@ def test_a_clock_with_too_few_digits_says_so(tmp_path):
     rough = np.repeat(np.r_[0.0, 128.0, 256.0], [700, 500, 300]) + 1.764e9
     frame = pd.DataFrame({"Time [s]": rough, "Engine speed [rpm]": 1000.0 + SECONDS})
     frame.to_csv(tmp_path / "a.csv", index=False)
-    assert clock_of(read_raw(tmp_path / "a.csv")) == ("Time [s]", 1.0)
+    clock = clock_of(read_raw(tmp_path / "a.csv"))
+    assert clock is not None and (clock.name, clock.unit_s) == ("Time [s]", 1.0)
     named = frame.set_axis(["time_s", "n_e_rpm"], axis=1).assign(u_delta_mg=60.0, u_egr_pct=20.0, u_vgt_pct=50.0)
     with pytest.raises(InputError, match="export the time with more digits"):
         read_recording(named, sensors=())
@@ -78,3 +79,17 @@ def test_a_column_of_such_words_is_no_statistics(tmp_path):
     rows = [f"{word};{speed};2" for speed in range(1000, 1020) for word in ("Mean", "Std")]
     (tmp_path / "a.csv").write_text("\n".join(["kind;speed;x", *rows]) + "\n")
     assert len(read_raw(tmp_path / "a.csv").table) == 40
+
+
+@pytest.mark.parametrize(("name", "unit_s"), [
+    ("time_s", 1.0), ("time_ms", 1e-3), ("Time (ms)", 1e-3), ("Time [min]", 60.0), ("Time (minutes)", 60.0),
+])  # fmt: skip
+def test_a_reading_a_row_keeps_its_own_time(tmp_path, name, unit_s):
+    """Readings at one time were spread over the step as rows of a coarse clock, and a name's unit was not read."""
+    time = np.repeat(np.arange(100.0) * 0.2, 4)
+    table = pd.DataFrame({name: time / unit_s, "name": ["n", "p", "t", "w"] * 100, "value": np.arange(400.0)})
+    table.to_csv(tmp_path / "a.csv", index=False)
+    raw = read_raw(tmp_path / "a.csv")
+    assert list(raw.signals) == ["n", "p", "t", "w"] and not any("spread" in note for note in raw.notes)
+    for signal in raw.signals.values():
+        np.testing.assert_allclose(signal.time_s, np.arange(100.0) * 0.2, atol=1e-9)
