@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
 
@@ -78,6 +78,8 @@ def date_in(name: str) -> datetime | None:
 def in_time_order(recordings: Sequence[Recording]) -> tuple[Dated, ...]:
     """Recordings with their dates, the earliest first; where one has none, a day apart in the order given.
 
+    Of one date, as names without a time of day are, each follows the one before in the order given.
+
     Raises:
         InputError: the same recording twice.
     """
@@ -86,7 +88,14 @@ def in_time_order(recordings: Sequence[Recording]) -> tuple[Dated, ...]:
         if hashes.count(item.sha256) > 1:
             raise InputError(str(item.path or "recording"), "the same recording twice", "each once", "name it once")
     known = [dated(item) for item in recordings]
-    found = [item for item in known if item is not None]
-    if len(found) < len(known) or any(a.date == b.date for a, b in pairwise(sorted(found, key=lambda d: d.date))):
+    found = sorted((item for item in known if item is not None), key=lambda item: item.date)
+    unsure = any(a.date == b.date and MODIFIED in (a.date_from, b.date_from) for a, b in pairwise(found))
+    if len(found) < len(known) or unsure:  # files that were copied together have the same date of change
         return tuple(Dated(item, _START + timedelta(days=k), ORDER) for k, item in enumerate(recordings))
-    return tuple(sorted(found, key=lambda item: item.date))
+    in_order: list[Dated] = []
+    for item in found:
+        if in_order and item.date <= in_order[-1].date:
+            last = in_order[-1]
+            item = replace(item, date=last.date + timedelta(seconds=last.recording.duration_s))
+        in_order.append(item)
+    return tuple(in_order)

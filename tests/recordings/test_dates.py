@@ -59,3 +59,19 @@ def test_recordings_stand_in_the_order_of_time(table: pd.DataFrame, tmp_path: Pa
     assert [(day.recording, day.date_from, day.day) for day in in_time_order(bare)] == [
         (bare[0], ORDER, "recording 1"), (bare[1], ORDER, "recording 2")
     ]  # fmt: skip
+
+
+def test_recordings_of_one_day_keep_their_dates(table: pd.DataFrame, tmp_path: Path):
+    """Two files of one day took the dates of all others away."""
+    names = ("2026-03-20.csv", "2026-03-14_am.csv", "2026-03-14_pm.csv", "2026-03-14_night.csv")
+    later, *same = [written(table[: 100 + k], tmp_path / name) for k, name in enumerate(names)]
+    days = in_time_order([later, *same])
+    assert [(day.recording, day.day, day.date_from) for day in days] == [
+        *((recording, "2026-03-14", NAME) for recording in same), (later, "2026-03-20", NAME)
+    ]  # fmt: skip
+    assert days[0].date < days[1].date < days[2].date
+    for name in ("a.csv", "b.csv"):
+        table[: 120 + (name == "b.csv")].to_csv(tmp_path / name, index=False)
+        os.utime(tmp_path / name, (1.7e9, 1.7e9))
+    copied = [read_recording(tmp_path / name) for name in ("b.csv", "a.csv")]
+    assert [day.date_from for day in in_time_order(copied)] == [ORDER, ORDER]

@@ -19,6 +19,7 @@ SECOND_HOUR, THIRD_HOUR = 2.0 * HOUR_S, 3.0 * HOUR_S  # the clocks of a country 
 REPEATED = 0.3  # share of rows with the stamp of the row before, from which the clock shows no more digits
 UNEVEN = 0.2  # by which the rows of two stamps may differ
 _ZONE_NAME = re.compile(rf" ?\b({'|'.join(ZONES)})\b(?:([+-])(\d{{1,2}}):?(\d{{2}})?)?")
+_SLASHED = re.compile(r"^(\d{1,2})/(\d{1,2})/(\d{2,4})")
 _MINUTES = re.compile(r"(\d{1,3}):(\d{2}[.,]\d+)$")
 _GERMAN_MONTHS = {"mär": "mar", "maer": "mar", "mrz": "mar", "mai": "may", "okt": "oct", "dez": "dec"}
 _YEAR_LAST = re.compile(r"^(?:[A-Za-z]{3} )?([A-Za-z]{3,9}) (\d{1,2}) (\S+)( \S+)? (\d{4})$")
@@ -117,9 +118,8 @@ def first_stamp(frame: pd.DataFrame) -> datetime | None:
     """Date and time of the first row [UTC], where a column of date stamps says it; None without one."""
     for name in stamped_columns(frame):
         if _kind(frame[name]) in ("both", "date"):
-            first = _spelt_plainly(frame[name].dropna().head(1).astype(str)).iloc[0]
-            day_first = bool(re.match(r"\s*\d{1,2}\.", first))
-            stamp = pd.to_datetime(first, errors="coerce", dayfirst=day_first, utc=True)
+            text = _spelt_plainly(frame[name].dropna().astype(str))
+            stamp = pd.to_datetime(text.iloc[0], errors="coerce", dayfirst=bool(day_first(text)), utc=True)
             if not pd.isna(stamp):
                 return datetime.fromtimestamp(stamp.timestamp(), UTC)
     return None
@@ -155,14 +155,38 @@ def _offset(found: re.Match[str]) -> str:
     return f"{'-' if total < 0 else '+'}{abs(total) // 60:02d}:{abs(total) % 60:02d}"
 
 
+def day_first(text: pd.Series) -> bool | None:
+    """Whether stamps (n,) name the day before the month; None where nothing tells, as by 05/03/2026 in every row.
+
+    With points the day is first. Of two readings that are both dates, rows take the one that keeps them together.
+    """
+    if text.str.match(r"\d{1,2}\.").any():
+        return True
+    dates = text.str.extract(_SLASHED).dropna().drop_duplicates().astype(int)
+    if (dates[0] > 12).any() or (dates[1] > 12).any():
+        return bool((dates[0] > 12).any())
+    by_day, by_month = (_travelled(dates[2], month, day) for month, day in ((dates[1], dates[0]), (dates[0], dates[1])))
+    if by_day == by_month and (dates[0] != dates[1]).any():
+        return None
+    return by_day < by_month
+
+
+def _travelled(year: pd.Series, month: pd.Series, day: pd.Series) -> float:
+    """Days that dates (n,) go forward and back in all."""
+    dates = pd.to_datetime(pd.DataFrame({"year": year % 100 + 2000, "month": month, "day": day}))
+    return float(dates.diff().abs().sum() / pd.Timedelta(days=1))
+
+
 def _seconds(column: pd.Series, where: str) -> tuple[np.ndarray, list[str]]:
     """Dates with times (n,) in s from the first row, and what was done about the clock."""
+    notes: list[str] = []
     if not pd.api.types.is_datetime64_any_dtype(column):
         text = _spelt_plainly(column.astype(str))
-        day_first = bool(text.str.match(r"\d{1,2}\.").any()) or bool(
-            (text.str.extract(r"^(\d{1,2})/")[0].astype(float) > 12).any()
-        )
-        parsed = pd.to_datetime(text, errors="coerce", dayfirst=day_first, format="mixed", utc=True)
+        first = day_first(text)
+        if first is None:
+            notes.append(f"{text[column.notna()].iloc[0]} is read with the month first: nothing in the file says that "
+                         "it is the day")  # fmt: skip
+        parsed = pd.to_datetime(text, errors="coerce", dayfirst=bool(first), format="mixed", utc=True)
         _refuse_unread(parsed.isna().to_numpy() & column.notna().to_numpy(), column, where)
         local = not text.head(SAMPLE).str.contains(r"(?:Z|[+-]\d{2}:?\d{2})$", regex=True).any()
         column = parsed
@@ -177,8 +201,9 @@ def _seconds(column: pd.Series, where: str) -> tuple[np.ndarray, list[str]]:
     steps = (stamps - known[0]) / np.timedelta64(1, "ns")
     seconds = np.where(np.isnat(stamps), np.nan, steps.astype(np.float64) * 1e-9)
     if not local:
-        return seconds, []
-    return going_on(seconds, float((known[0] - known[0].astype("datetime64[D]")) / np.timedelta64(1, "s")))
+        return seconds, notes
+    since, changed = going_on(seconds, float((known[0] - known[0].astype("datetime64[D]")) / np.timedelta64(1, "s")))
+    return since, [*notes, *changed]
 
 
 def _of_day(column: pd.Series, where: str) -> tuple[np.ndarray, list[str]]:

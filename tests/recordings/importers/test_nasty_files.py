@@ -8,6 +8,7 @@ import zipfile
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 import scipy.io
 
@@ -231,3 +232,22 @@ def test_a_last_row_that_is_cut_off_is_left_out_and_said(
     found = read_raw(file)
     assert found.table is not None and len(found.table) == kept
     assert len(found.notes) == (said is not None) and (said is None or said in found.notes[0]), found.notes
+
+
+@pytest.mark.parametrize(("start", "form", "began", "said"), [
+    ("2026-03-05 23:59:00", "%d/%m/%Y", "2026-03-05", False),  # the 6th follows, and no month later
+    ("2026-03-05 23:59:00", "%m/%d/%Y", "2026-03-05", False),
+    ("2026-03-12 23:59:00", "%d/%m/%Y", "2026-03-12", False),
+    ("2026-03-25 12:00:00", "%d/%m/%Y", "2026-03-25", False),
+    ("2026-03-05 12:00:00", "%d/%m/%Y", "2026-05-03", True),
+    ("2026-05-05 12:00:00", "%d/%m/%Y", "2026-05-05", False),
+])  # fmt: skip
+def test_day_and_month_are_told_by_all_rows(tmp_path, start, form, began, said):
+    """One that goes past midnight was read as a month apart, and the first row's date as another one than the rows'."""
+    since = np.round(0.5 * np.arange(240), 1)
+    stamps = pd.Series(pd.Timestamp(start) + pd.to_timedelta(since, unit="s")).dt.strftime(f"{form} %H:%M:%S.%f")
+    pd.DataFrame({"Zeit": stamps, "Drehzahl": 1000.0 + since}).to_csv(tmp_path / "a.csv", index=False)
+    raw = read_raw(tmp_path / "a.csv")
+    assert raw.table is not None and raw.began is not None and f"{raw.began:%Y-%m-%d}" == began
+    np.testing.assert_allclose(raw.table["Zeit"], since, atol=1e-6)
+    assert any("month first" in note for note in raw.notes) == said
