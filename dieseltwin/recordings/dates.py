@@ -93,9 +93,9 @@ def in_time_order(recordings: Sequence[Recording]) -> tuple[Dated, ...]:
     if len(found) < len(known) or unsure:  # files that were copied together have the same date of change
         return tuple(Dated(item, _START + timedelta(days=k), ORDER) for k, item in enumerate(recordings))
     in_order: list[Dated] = []
-    for item in found:
-        if in_order and item.date <= in_order[-1].date:
-            last = in_order[-1]
-            item = replace(item, date=last.date + timedelta(seconds=last.recording.duration_s))
-        in_order.append(item)
+    for one in found:
+        last = in_order[-1] if in_order else None
+        if last is not None and one.date <= last.date:
+            one = replace(one, date=last.date + timedelta(seconds=last.recording.duration_s))
+        in_order.append(one)
     return tuple(in_order)

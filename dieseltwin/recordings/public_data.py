@@ -8,6 +8,7 @@ mirror (DIESELTWIN_DATA_URL, a folder that holds the same tree) is needed to fet
 
 from __future__ import annotations
 
+import http.client
 import os
 import sys
 import urllib.error
@@ -17,7 +18,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from dieseltwin.atomic import atomic_path
+from dieseltwin.atomic import atomic_path, write_problem
 from dieseltwin.errors import InputError
 from dieseltwin.paths import file_sha256, xdg_cache_folder
 from dieseltwin.settings.names import unknown_name
@@ -252,7 +253,9 @@ def _download(address: str, target: Path, file: DataFile) -> None:
         raise InputError(address, f"HTTP {error.code} {error.reason}", "the file", elsewhere) from None
     except urllib.error.URLError as error:
         raise InputError(address, f"no connection ({error.reason})", "a reachable address", elsewhere) from None
-    except (TimeoutError, ConnectionError) as error:
+    except (OSError, http.client.HTTPException) as error:  # what answers needn't be a web server
+        if isinstance(error, OSError) and write_problem(error, target) is not None:
+            raise  # of the disk, for `atomic_path`
         raise InputError(address, f"the connection broke ({error})", "the whole file", elsewhere) from None
 
 

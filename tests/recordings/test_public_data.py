@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import socket
 import threading
 from collections.abc import Iterator
 from functools import partial
@@ -70,6 +71,29 @@ def test_wrong_bytes_are_refused_and_not_kept(mirror: Path, clean: Path, served:
 def test_missing_on_the_mirror(mirror: Path) -> None:
     with pytest.raises(InputError, match="HTTP 404"):
         fetch(FILE)
+
+
+@pytest.mark.parametrize("reply", [
+    b"SSH-2.0-OpenSSH_9\r\n\r\n", b"HTTP/1.1 200 OK\r\nTransfer-Encoding: chunked\r\n\r\n1000\r\nabc",
+])  # fmt: skip
+def test_an_answer_that_is_none_of_the_web_is_refused(
+    monkeypatch: pytest.MonkeyPatch, clean: Path, reply: bytes
+) -> None:
+    """Another service at the mirror's port, and a body that was cut off, ended in a traceback."""
+
+    def answer(listening: socket.socket) -> None:
+        with listening.accept()[0] as connection:
+            connection.recv(4096)
+            connection.sendall(reply)
+
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        monkeypatch.setenv(public_data.MIRROR, f"http://127.0.0.1:{listening.getsockname()[1]}")
+        thread = threading.Thread(target=answer, args=(listening,))
+        thread.start()
+        with pytest.raises(InputError, match=r"the connection broke.*DIESELTWIN_DATA"):
+            fetch(FILE)
+        thread.join()
+    assert not any(p.is_file() for p in clean.rglob("*"))
 
 
 def test_no_network(monkeypatch: pytest.MonkeyPatch, clean: Path) -> None:

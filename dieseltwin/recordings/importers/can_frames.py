@@ -130,7 +130,8 @@ def _from_text(path: Path, lines: Iterable[str]) -> CanFrames:
     of_day = False
     for line in lines:
         found = _COLUMNS.match(line) or _COMPACT.match(line)
-        if found is None:
+        payload = None if found is None else _payload(found["data"])
+        if found is None or payload is None:
             broken += bool(line.strip()) and not line.lstrip().startswith("#")
             continue
         if "#R" in line or "remote request" in line or int(found["id"], 16) & _ERROR_FLAG:
@@ -142,7 +143,7 @@ def _from_text(path: Path, lines: Iterable[str]) -> CanFrames:
         times.append(DAY_S * day + _seconds(found["time"]))
         identifiers.append(int(found["id"], 16))
         extended.append(len(found["id"]) > 3)
-        payloads.append(bytes.fromhex(found["data"].replace(" ", "").replace(".", "")))
+        payloads.append(payload)
     if not times:
         raise InputError(
             str(path),
@@ -160,6 +161,12 @@ def _from_text(path: Path, lines: Iterable[str]) -> CanFrames:
     if broken:
         notes.append(f"{broken} lines that are no frame left out")
     return _packed(times, identifiers, extended, payloads, notes)
+
+
+def _payload(digits: str) -> bytes | None:
+    """The bytes of a frame; None where the line ends in the middle of one."""
+    digits = "".join(digits.split()).replace(".", "")
+    return None if len(digits) % 2 else bytes.fromhex(digits)
 
 
 def _past_midnight(times: Sequence[float]) -> tuple[list[float], list[str]]:

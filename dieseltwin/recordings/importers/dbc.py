@@ -14,8 +14,8 @@ from dieseltwin.recordings.importers.signals import Signal
 from dieseltwin.settings.extras import require
 
 
-def decode_by_dbc(path: Path, frames: CanFrames, database: Path) -> list[Signal]:
-    """Decode frames by a DBC (or any other database that cantools reads: ARXML, KCD, SYM).
+def decode_by_dbc(path: Path, frames: CanFrames, database: Path) -> tuple[list[Signal], list[str]]:
+    """Decode frames by a DBC (or any other database that cantools reads: ARXML, KCD, SYM); and notes.
 
     Raises:
         InputError: cantools is missing, the database is not readable, or none of its messages is in the trace.
@@ -36,19 +36,26 @@ def decode_by_dbc(path: Path, frames: CanFrames, database: Path) -> list[Signal]
         ) from None
     groups = parameter_group(frames.identifier)
     signals: list[Signal] = []
+    notes: list[str] = []
+
+    def add(message: Any, rows: np.ndarray, origin: str, j1939: bool) -> None:
+        found, unknown = _message_signals(message, frames.take(rows), origin, j1939)
+        signals.extend(found)
+        if unknown:
+            notes.append(f"{unknown} frames of {origin} can't be decoded by {database.name} and count as missing "
+                         "(a multiplexed page that it doesn't describe?)")  # fmt: skip
+
     for message in content.messages:
         if message.protocol == "j1939":
             group = int(parameter_group(np.array([message.frame_id], dtype=np.uint32))[0])
             rows = frames.extended & (groups == group)
             for source in np.unique(frames.identifier[rows] & 0xFF):
                 chosen = rows & ((frames.identifier & 0xFF) == source)
-                signals.extend(
-                    _message_signals(message, frames.take(chosen), f"{message.name} from address {source}", True)
-                )
+                add(message, chosen, f"{message.name} from address {source}", True)
         else:
             rows = (frames.identifier == message.frame_id) & (frames.extended == message.is_extended_frame)
             if rows.any():
-                signals.extend(_message_signals(message, frames.take(rows), message.name, False))
+                add(message, rows, message.name, False)
     if not signals:
         raise InputError(
             str(path),
@@ -56,21 +63,31 @@ def decode_by_dbc(path: Path, frames: CanFrames, database: Path) -> list[Signal]
             "frames that this database describes",
             "give the DBC of this bus, or none for plain J1939",
         )
-    return signals
+    return signals, notes
 
 
-def _message_signals(message: Any, frames: CanFrames, origin: str, j1939: bool) -> list[Signal]:
-    """The signals of one message; each distinct payload is decoded once, for a bus repeats itself."""
+def _message_signals(message: Any, frames: CanFrames, origin: str, j1939: bool) -> tuple[list[Signal], int]:
+    """The signals of one message, and the number of frames that the database can't decode.
+
+    Each distinct payload is decoded once, for a bus repeats itself.
+    """
+    from cantools.database import DecodeError
+
     width = min(message.length or frames.data.shape[1], frames.data.shape[1])
     whole = frames.length >= width
     frames = frames if whole.all() else frames.take(whole)
     if not frames.size:
-        return []
+        return [], 0
     payloads, back = np.unique(frames.data[:, :width], axis=0, return_inverse=True)
     names = [signal.name for signal in message.signals]
     table = np.full((len(payloads), len(names)), np.nan)
+    unknown = np.zeros(len(payloads), dtype=bool)
     for row, payload in enumerate(payloads):
-        raw = message.decode(payload.tobytes(), decode_choices=False, scaling=False, allow_truncated=True)
+        try:
+            raw = message.decode(payload.tobytes(), decode_choices=False, scaling=False, allow_truncated=True)
+        except DecodeError:
+            unknown[row] = True
+            continue
         for column, signal in enumerate(message.signals):
             value = raw.get(signal.name)
             if value is None:  # of another multiplexed page
@@ -79,6 +96,7 @@ def _message_signals(message: Any, frames: CanFrames, origin: str, j1939: bool) 
                 continue
             table[row, column] = signal.conversion.raw_to_scaled(value, decode_choices=False)
     values = table[back.ravel()]
+    lacking = int(np.count_nonzero(unknown[back.ravel()]))
     found = []
     for column, signal in enumerate(message.signals):
         readings = values[:, column]
@@ -87,4 +105,4 @@ def _message_signals(message: Any, frames: CanFrames, origin: str, j1939: bool) 
         if not np.isfinite(readings).any():
             continue
         found.append(Signal(signal.name, signal.unit or None, frames.time_s[rows], readings[rows], origin, signal.spn))
-    return found
+    return found, lacking

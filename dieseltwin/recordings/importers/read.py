@@ -76,8 +76,9 @@ def _from_mdf(path: Path, database: Path | None, wanted: Collection[str] | None)
 
 def _from_frames(path: Path, kind: str, frames: CanFrames, database: Path | None) -> RawChannels:
     if database is not None:
-        signals = decode_by_dbc(path, frames, database)
-        return _in_order(RawChannels(path, f"{kind} by {database.name}", unique_names(signals), notes=frames.notes))
+        signals, notes = decode_by_dbc(path, frames, database)
+        kind = f"{kind} by {database.name}"
+        return _in_order(RawChannels(path, kind, unique_names(signals), notes=(*frames.notes, *notes)))
     if not j1939.looks_like_j1939(frames):
         count = len(np.unique(frames.identifier))
         raise InputError(

@@ -177,6 +177,21 @@ def test_a_trace_with_its_dbc_gives_the_same_recording(tmp_path, drive, ending):
     assert read_raw(path, tmp_path / "bus.dbc").signals["p_im_pa"].unit == "Pa"
 
 
+def test_a_broken_or_unknown_frame_costs_no_trace(tmp_path):
+    """A page that the DBC lacks, and a last line that ends in the middle of a byte, ended in a traceback."""
+    pytest.importorskip("cantools")
+    signals = (' SG_ Page M : 0|8@1+ (1,0) [0|255] "" ECU\n SG_ Boost m0 : 8|16@1+ (0.1,0) [0|6000] "kPa" ECU\n'
+               ' SG_ Temp m1 : 8|16@1+ (0.1,0) [0|6000] "K" ECU\n')  # fmt: skip
+    (tmp_path / "bus.dbc").write_text(BUS.format(messages=f"BO_ 256 Mux: 8 ECU\n{signals}"))
+    lines = [f"({0.1 * k:.6f}) can0 100#{k % 3:02X}E8030000000000\n" for k in range(30)]
+    (tmp_path / "a.log").write_text("".join(lines) + "(3.000000) can0 100#00E80")
+    raw = read_raw(tmp_path / "a.log", tmp_path / "bus.dbc")
+    for name in ("Boost", "Temp"):
+        np.testing.assert_allclose(raw.signals[name].values, np.full(10, 100.0))
+    assert any("1 lines that are no frame" in note for note in raw.notes)
+    assert any("10 frames of Mux can't be decoded by bus.dbc" in note for note in raw.notes)
+
+
 def test_the_content_decides_not_the_ending(tmp_path, drive):
     drive.to_parquet(tmp_path / "drive.csv")
     drive.to_csv(tmp_path / "drive.parquet", index=False)
