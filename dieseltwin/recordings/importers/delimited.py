@@ -20,12 +20,15 @@ from dieseltwin.recordings.importers.decimals import clear_mark, doubtful_mark
 from dieseltwin.recordings.importers.layout import (
     LOOKED_AT,
     MISSING,
+    UNIT_SHARE,
     Layout,
     find_layout,
     is_data_row,
     is_date,
     is_missing,
     is_number,
+    refuse_repeated,
+    unit_share,
 )
 from dieseltwin.recordings.importers.numeric_clocks import in_seconds
 from dieseltwin.recordings.importers.signals import RawChannels, unreadable
@@ -34,6 +37,8 @@ from dieseltwin.recordings.importers.text_cells import in_numbers, without_repea
 SEPARATORS = (",", ";", "\t", "|")
 ROWS_BEFORE, FEWEST_BEFORE = 50, 3  # the last one: they say how long a row is, if all have as many cells,
 SHORTEST_OF = 15  # and so many at least how long its last cell is
+_COMMENT = re.compile(r"^[ \t]*(#|//).*\n?", re.MULTILINE)
+_MARK = re.compile(r"^[ \t]*(#|//)[ \t]*", re.MULTILINE)
 MOST_COLUMNS = 20_000  # the largest control units have that many labels; a million take minutes to read
 
 
@@ -72,9 +77,7 @@ def read_delimited(path: Path, content: bytes) -> RawChannels:
     notes = [] if encoding.startswith("utf-8") else [f"read as {encoding}"]
     notes.extend(skipped)
     names = dialect.layout.names
-    twice = [name for name in dict.fromkeys(names) if name and names.count(name) > 1]
-    if twice:  # pandas would rename the second one and say nothing
-        raise InputError(f"{path}: column {twice[0]}", "a column given twice", "each name once", "drop one")
+    refuse_repeated(names, f"{path}:")  # pandas would rename the second one and say nothing
     text, cut = _without_cut_row(text, dialect)
     notes.extend(cut)
     text, dropped = _without_tail(text, dialect)
@@ -131,21 +134,31 @@ def _without_marks(text: str) -> tuple[str, list[str]]:
         notes.append("zero bytes left out (the logger lost power?)")
     if re.match(r"\s*\"?sep=.\"?\n", text, re.IGNORECASE):
         text = text.split("\n", 1)[1]
-    head = text[:100_000].split("\n")
-    comments = [line for line in head if line.lstrip().startswith(("#", "//")) and not _holds_names(line, head)]
+    names = _names_in_comments(text[:100_000].split("\n"))
+    before, found, behind = text.partition(names) if names else (text, "", "")
+    comments = sum(len(_COMMENT.findall(part)) for part in (before, behind))
+    if comments or names:
+        text = _COMMENT.sub("", before) + _MARK.sub("", found) + _COMMENT.sub("", behind)
     if comments:
-        text = re.sub(r"^[ \t]*(#|//).*\n?", "", text, flags=re.MULTILINE)
-        notes.append(f"{len(comments)} comment lines left out")
+        notes.append(f"{comments} comment lines left out")
     return text, notes
 
 
-def _holds_names(line: str, head: Sequence[str]) -> bool:
-    """'# time;n_e;...' right above the numbers is the row of names."""
-    index = head.index(line)
-    following = next((row for row in head[index + 1 :] if row.strip()), "")
-    if following.lstrip().startswith("#"):
-        return False
-    return any(line.count(mark) > 0 and line.count(mark) == following.count(mark) for mark in SEPARATORS)
+def _names_in_comments(head: Sequence[str]) -> str | None:
+    """'# time;n_e;...' right above the numbers is the row of names, with one of units below it or not; None where no
+    comment is."""
+    above: list[str] = []
+    for line in filter(str.strip, head):
+        if _COMMENT.match(line):
+            above.append(line)
+            continue
+        for mark in SEPARATORS:
+            fitting = [comment for comment in above[-2:] if comment.count(mark) == line.count(mark) > 0]
+            if above and fitting and fitting[-1] is above[-1]:
+                in_two = len(fitting) == 2 and unit_share(fitting[1].lstrip("#/ ").split(mark)) >= UNIT_SHARE
+                return "\n".join(fitting if in_two else fitting[-1:])
+        above = []
+    return None
 
 
 def _first_lines(text: str) -> list[str]:

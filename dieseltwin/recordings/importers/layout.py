@@ -6,6 +6,8 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from dieseltwin.errors import InputError
+
 LOOKED_AT = 200  # rows from the top: loggers write up to about a hundred lines before the names
 NUMERIC_SHARE = 0.5  # of the filled cells of a row of data; comment columns and states are text
 UNIT_SHARE = 0.5  # of the filled cells of a row of units
@@ -123,15 +125,26 @@ def find_layout(rows: Sequence[Sequence[str]]) -> Layout | None:
     header = max(block, key=lambda row: (_name_score(rows[row]), -row))
     names = [cell.strip().lstrip("#").strip() for cell in rows[header]]
     units = [""] * len(names)
-    candidates = [row for row in block if row != header and _unit_share(rows[row]) >= UNIT_SHARE]
+    candidates = [row for row in block if row != header and unit_share(rows[row]) >= UNIT_SHARE]
     if candidates:
-        best = max(candidates, key=lambda row: _unit_share(rows[row]))
+        best = max(candidates, key=lambda row: unit_share(rows[row]))
         cells = [cell.strip() for cell in rows[best]]
         units = [_bare(cells[i]) if i < len(cells) else "" for i in range(len(names))]
     while names and not names[-1] and not any(_cell(rows[row], len(names) - 1) for row in range(first, len(rows))):
         names.pop()  # a separator at the end of every line
         units.pop()
     return Layout(header, first, tuple(names), tuple(units))
+
+
+def refuse_repeated(names: Sequence[str], where: str) -> None:
+    """Each name of a table stands once.
+
+    Raises:
+        InputError: one doesn't.
+    """
+    twice = next((name for name in names if name and names.count(name) > 1), None)
+    if twice is not None:
+        raise InputError(f"{where} column {twice}", "a column given twice", "each name once", "drop one")
 
 
 def _first_data_row(rows: Sequence[Sequence[str]]) -> int | None:
@@ -168,7 +181,8 @@ def _name_score(cells: Sequence[str]) -> float:
     return len({cell for cell in filled if not is_unit(cell) and not is_number(cell)}) + 0.1 * len(set(filled))
 
 
-def _unit_share(cells: Sequence[str]) -> float:
+def unit_share(cells: Sequence[str]) -> float:
+    """Share of the filled cells that are units [-]."""
     filled = [cell for cell in cells if cell.strip()]
     return sum(is_unit(cell) for cell in filled) / len(filled) if filled else 0.0
 

@@ -13,6 +13,7 @@ import scipy  # its `io` loads when it is wanted: a tenth of a second that other
 
 from dieseltwin.errors import InputError
 from dieseltwin.recordings.importers.signals import RawChannels, Signal, unique_names, unreadable
+from dieseltwin.recordings.time_units import told_unit
 from dieseltwin.settings.extras import require
 
 # fields of a structure that holds one signal, in lower case
@@ -147,7 +148,7 @@ def _several_rasters(path: Path, kind: str, leaves: list[Leaf], notes: list[str]
         if time is None:
             fitting = [clock for clock in clocks if clock.values.size == leaf.values.size and clock is not leaf]
             own = [clock for clock in fitting if clock.name.rpartition(".")[0] == leaf.name.rpartition(".")[0]]
-            time = (own or fitting)[0].values if fitting else None
+            time = _seconds((own or fitting)[0]) if fitting else None
         if leaf in clocks:
             continue
         if time is None or time.size != leaf.values.size:
@@ -162,6 +163,12 @@ def _several_rasters(path: Path, kind: str, leaves: list[Leaf], notes: list[str]
             "save the times too (a vector called time)",
         )
     return RawChannels(path, kind, signals=unique_names(signals), notes=tuple(notes))
+
+
+def _seconds(clock: Leaf) -> np.ndarray:
+    """The times of a vector of them (n,), by its own unit [s]."""
+    unit_s = told_unit(clock.name.rsplit(".", 1)[-1], clock.unit)
+    return clock.values if unit_s is None else clock.values * unit_s
 
 
 def _leaves(tree: Any, prefix: str) -> Iterator[Leaf]:

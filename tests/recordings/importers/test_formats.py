@@ -177,6 +177,16 @@ def test_a_trace_with_its_dbc_gives_the_same_recording(tmp_path, drive, ending):
     assert read_raw(path, tmp_path / "bus.dbc").signals["p_im_pa"].unit == "Pa"
 
 
+def test_vectors_of_several_lengths_have_the_unit_of_their_clock(tmp_path, drive):
+    """Times in ms were taken as s where a MATLAB file had more than one raster."""
+    clock = {"values": 1e3 * drive["time_s"].to_numpy(), "unit": "ms"}
+    slow = {"p_em": drive["p_em_pa"].to_numpy()[::5], "time": {**clock, "values": clock["values"][::5]}}
+    scipy.io.savemat(tmp_path / "a.mat", {"fast": {"n_e": drive["n_e_rpm"].to_numpy(), "time": clock}, "slow": slow})
+    signals = read_raw(tmp_path / "a.mat").signals
+    np.testing.assert_allclose(signals["fast.n_e"].time_s, drive["time_s"], atol=1e-9)
+    np.testing.assert_allclose(signals["slow.p_em"].time_s, drive["time_s"][::5], atol=1e-9)
+
+
 def test_a_broken_or_unknown_frame_costs_no_trace(tmp_path):
     """A page that the DBC lacks, and a last line that ends in the middle of a byte, ended in a traceback."""
     pytest.importorskip("cantools")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import io
 import zipfile
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -41,6 +42,11 @@ READ: dict[str, tuple[str, bytes]] = {
     "Excel's line sep=;": ("a.csv", ("sep=;\n" + HEAD + rows()).encode()),
     "comments above": ("a.csv", ("# logger 4.2\n# car 17\nZeit,Drehzahl\n" + rows(",", ".")).encode()),
     "the names in a comment": ("a.csv", ("# Zeit,Drehzahl\n" + rows(",", ".")).encode()),
+    "a comment above the names in a comment": ("a.csv", ("# logger 4.2\n# Zeit,Drehzahl\n" + rows(",", ".")).encode()),
+    "two comments as long as a row": ("a.csv", ("# car, 17\n# Zeit,Drehzahl\n" + rows(",", ".")).encode()),
+    "names and units in comments": ("a.csv", ("# Zeit,Drehzahl\n# s,1/min\n" + rows(",", ".")).encode()),
+    "names in a comment, and comments below": (
+        "a.csv", ("// Zeit,Drehzahl\n" + rows(",", ".").replace("\n0.2", "\n# pause, short\n0.2")).encode()),
     "thousands by points": ("a.csv", (HEAD + "0,0;1.000,00\n0,1;1.001,50\n0,2;1.002,00\n0,3;1.003,25\n").encode()),
     "thousands by commas, in quotes": (
         "a.csv", b'Zeit,Drehzahl\n0.0,"1,000.00"\n0.1,"1,001.50"\n0.2,"1,002.00"\n0.3,"1,003.25"\n'),
@@ -251,3 +257,38 @@ def test_day_and_month_are_told_by_all_rows(tmp_path, start, form, began, said):
     assert raw.table is not None and raw.began is not None and f"{raw.began:%Y-%m-%d}" == began
     np.testing.assert_allclose(raw.table["Zeit"], since, atol=1e-6)
     assert any("month first" in note for note in raw.notes) == said
+
+
+def workbook(path: Path, names: list[str], cells: list[list[object]]) -> Path:
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    for row in (names, *cells):
+        book.active.append(row)
+    book.save(path)
+    return path
+
+
+def paired(first: list, second: list) -> list[list[object]]:
+    return [list(row) for row in zip(first, second, strict=True)]
+
+
+@pytest.mark.parametrize("kind", ["dates", "spans", "times of day"])
+def test_an_excel_sheet_may_hold_dates_as_such(tmp_path, kind):
+    """Dates and spans of time in cells were read as us since 1970, and ended in 460 days."""
+    start = datetime(2026, 3, 5, 12, 0)
+    stamps = [start + timedelta(seconds=t) for t in TIME]
+    clock = {"dates": stamps, "spans": [s - start for s in stamps], "times of day": [s.time() for s in stamps]}[kind]
+    raw = read_raw(workbook(tmp_path / "a.xlsx", ["Zeit", "Drehzahl"], paired(clock, SPEED)))
+    assert raw.table is not None and raw.units["Zeit"] == "s"
+    np.testing.assert_allclose(raw.table["Zeit"], TIME, atol=1e-6)
+    assert (raw.began is None) == (kind != "dates")
+
+
+@pytest.mark.parametrize("form", ["english", "german", "half"])
+def test_an_excel_sheet_may_hold_numbers_as_text(tmp_path, form):
+    """1,001.50 stayed text, and 101,325 became 101.325."""
+    german = [f"{n:,.2f}".translate(str.maketrans(",.", ".,")) for n in SPEED]
+    english = [f"{n:,.2f}" for n in SPEED]
+    text = {"german": german, "half": [SPEED[0], *english[1:]]}.get(form, english)
+    raw = read_raw(workbook(tmp_path / "a.xlsx", ["Zeit", "Drehzahl"], paired(TIME, text)))
+    assert raw.table is not None and raw.table["Drehzahl"].tolist() == SPEED
