@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
@@ -36,6 +37,8 @@ from dieseltwin.settings.strict import StrictModel, overridden, read_profile, va
 from dieseltwin.settings.watch import WatchConfig
 
 PARAMS_FILE = "params.yaml"
+OWN_SECTIONS = ("profiles", "driving", "identify", "promotion", "discover", "proof", "watch")
+"""Top-level names by which a settings file is known; others, as `seed`, stand in any program's."""
 DEFAULT_PROFILE = "quick"
 
 # Sections of the settings as JSON, in the environment of a process that has to look no file up, nor have those that it
@@ -296,9 +299,20 @@ class Params(StrictModel):
 
 
 def default_params_path() -> Path:
-    """`params.yaml` of the working folder, else the package's own (in a checkout a link to the one at the top)."""
+    """`params.yaml` of the working folder, else the package's own (in a checkout a link to the one at the top).
+
+    Other programs have a file of that name as well (DVC's is): one without any section of ours is theirs.
+    """
     here = Path(PARAMS_FILE)
-    return here if here.is_file() else Path(__file__).resolve().parents[1] / PARAMS_FILE
+    return here if here.is_file() and _is_ours(here) else Path(__file__).resolve().parents[1] / PARAMS_FILE
+
+
+def _is_ours(path: Path) -> bool:
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        return True  # reading it once more says what is wrong
+    return any(name in OWN_SECTIONS for name in re.findall(r"^[\"']?(\w+)[\"']?[ \t]*:", text, re.MULTILINE))
 
 
 def load_params(path: str | Path | None = None, profile: str = DEFAULT_PROFILE) -> Params:
@@ -336,8 +350,7 @@ def _validated(path: Path, content: bytes, profile: str) -> Params:
 
 def default_discover() -> DiscoverConfig:
     """What a discovery decides by where no settings are given: the process's own, else `default_params_path()`'s."""
-    given = _given(os.environ.get(SECTIONS_VARIABLE, "{}")).discover
-    return load_params().discover if given is None else given
+    return _given().discover or load_params().discover
 
 
 def default_search() -> SearchConfig:
@@ -347,14 +360,12 @@ def default_search() -> SearchConfig:
 
 def default_learn() -> LearnConfig:
     """The same of learning."""
-    given = _given(os.environ.get(SECTIONS_VARIABLE, "{}")).learn
-    return load_params().learn if given is None else given
+    return _given().learn or load_params().learn
 
 
 def default_watch() -> WatchConfig:
     """The same of the alarm over a history."""
-    given = _given(os.environ.get(SECTIONS_VARIABLE, "{}")).watch
-    return load_params().watch if given is None else given
+    return _given().watch or load_params().watch
 
 
 class _Given(StrictModel):
@@ -365,9 +376,13 @@ class _Given(StrictModel):
     watch: WatchConfig | None = None
 
 
-@lru_cache(maxsize=8)
-def _given(text: str) -> _Given:
+def _given() -> _Given:
     """The sections that the process was given."""
+    return _validated_sections(os.environ.get(SECTIONS_VARIABLE, "{}"))
+
+
+@lru_cache(maxsize=8)
+def _validated_sections(text: str) -> _Given:
     return validate(_Given, json.loads(text), SECTIONS_VARIABLE)
 
 

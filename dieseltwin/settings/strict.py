@@ -101,6 +101,9 @@ def read_profile(path: Path, profile: str) -> tuple[dict[str, Any], Mapping[str,
     profiles = common.pop("profiles", {}) or {}
     if not isinstance(profiles, Mapping):
         raise InputError(f"{path}: profiles", f"a {type(profiles).__name__}", "a mapping", "mend it")
+    if not profiles:
+        raise InputError(f"{path}: profiles", "none", f"profiles, {profile} among them",
+                         "add them, or name another file of settings (--params)")  # fmt: skip
     if profile not in profiles:
         raise unknown_name(f"{path}: profiles", profile, list(profiles))
     overrides = profiles[profile] or {}

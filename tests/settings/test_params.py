@@ -220,8 +220,12 @@ def test_the_protocols_rule_for_identifiable_stands_in_the_settings_too(project_
 def test_params_of_the_working_folder_win(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, project_root: Path) -> None:
     monkeypatch.chdir(tmp_path)
     assert default_params_path().resolve() == project_root / "params.yaml"
-    (tmp_path / "params.yaml").write_text("seed: 1\n", encoding="utf-8")
+    (tmp_path / "params.yaml").write_text("discover: {}\n", encoding="utf-8")
     assert default_params_path().resolve() == tmp_path / "params.yaml"
+    with pytest.raises(InputError, match=r"profiles: got none; allowed: profiles, quick among them.*--params"):
+        load_params()
+    (tmp_path / "params.yaml").write_text("train: {lr: 0.1}\nseed: 3\n", encoding="utf-8")  # another program's
+    assert default_params_path().resolve() == project_root / "params.yaml"
 
 
 def test_every_number_of_the_file_reaches_the_model(project_root: Path) -> None:
