@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 
@@ -20,11 +20,13 @@ from dieseltwin.recordings.importers.clock import first_stamp, with_index
 from dieseltwin.recordings.importers.numeric_clocks import in_seconds
 from dieseltwin.recordings.importers.read import read_raw
 from dieseltwin.recordings.raster import on_one_raster, quantities
+from dieseltwin.recordings.time_units import told_unit
 
 LIKE_TIME = ("time", "t_s", "t [", "zeit", "uhrzeit", "sekunden", "seconds")
 """Beginnings of names that a column of time may have in a file that nobody mapped."""
 LIKE_DATE = ("date", "datum")
 """The same of dates, which settled points have as well."""
+_RISING = 0.9  # of the steps: a clock may start again, or stand still, and the reader tells where
 _APART_S = 60.0  # rows of a recording are nearer to each other, settled points farther apart
 
 
@@ -52,6 +54,7 @@ class Imported:
         began: date of the first row [UTC], where the file says it.
         path, sha256: of the file; None for a table.
         made: which columns were computed from others.
+        units: of the columns that keep the file's own names, where it says them.
     """
 
     columns: Mapping[str, np.ndarray]
@@ -60,21 +63,27 @@ class Imported:
     path: Path | None = None
     sha256: str | None = None
     made: Made = NOTHING
+    units: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def timed(self) -> bool:
-        """Whether it is a recording over time (`time_s`, or a column that is called so) rather than settled points."""
-        named = {name.lower(): values for name, values in self.columns.items()}
-        dates = [values for name, values in named.items() if name.startswith(LIKE_DATE)]
-        return any(name == TIME or name.startswith(LIKE_TIME) for name in named) or any(map(_ticks, dates))
+        """Whether it is a recording over time (`time_s`, or a column that is called so) rather than settled points.
+
+        Those may have the time of day too, and how long a point took to settle.
+        """
+        return TIME in map(str.lower, self.columns) or any(
+            _ticks(values, told_unit(name, self.units.get(name))) for name, values in self.columns.items()
+            if name.lower().startswith((*LIKE_TIME, *LIKE_DATE))
+        )  # fmt: skip
 
 
-def _ticks(values: np.ndarray) -> bool:
-    """Whether dates, as seconds (n,), are those of rows over time."""
+def _ticks(values: np.ndarray, unit_s: float | None) -> bool:
+    """Whether times (n,) are those of rows over time: they rise, and by little where their unit is known [s]."""
     if values.size < 2 or not np.issubdtype(np.asarray(values).dtype, np.number):
         return False
-    steps = np.diff(values)
-    return bool((steps > 0.0).all() and np.median(steps) < _APART_S)
+    steps = np.diff(values.astype(np.float64))
+    rising = steps[steps > 0.0]
+    return bool(rising.size > _RISING * steps.size and (unit_s is None or np.median(rising) * unit_s < _APART_S))
 
 
 def import_columns(
@@ -93,9 +102,9 @@ def import_columns(
         return source
     if isinstance(source, pd.DataFrame):
         table = with_index(source)
-        by_seconds, _, notes = in_seconds(table, "table")
+        by_seconds, units, notes = in_seconds(table, "table")
         columns, coded = _renamed(by_seconds, mapping, "the table")
-        return Imported(columns, (*notes, *coded), first_stamp(table), made=mapping.made)
+        return Imported(columns, (*notes, *coded), first_stamp(table), made=mapping.made, units=units)
     path = Path(source)
     wanted = {*mapping.entries, *known_columns()} if mapping.entries else None
     raw = read_raw(path, mapping.database, wanted)
@@ -106,7 +115,7 @@ def import_columns(
         columns, notes = on_one_raster(signals, str(path))
         return Imported(columns, (*raw.notes, *coded, *notes), raw.began, path, file_sha256(path), mapping.made)
     columns, coded = _renamed(raw.table, mapping, str(path))
-    return Imported(columns, (*raw.notes, *coded), raw.began, path, file_sha256(path), mapping.made)
+    return Imported(columns, (*raw.notes, *coded), raw.began, path, file_sha256(path), mapping.made, raw.units)
 
 
 def named_columns(

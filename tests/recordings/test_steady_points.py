@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 
 from dieseltwin.errors import InputError
+from dieseltwin.recordings.named_columns import import_columns
 from dieseltwin.recordings.steady_points import read_points, roughness
 
 REFERENCE = Path(__file__).parents[1] / "reference" / "field_random_300s.csv"
@@ -92,3 +93,19 @@ def test_text_in_a_reading_is_refused_whatever_is_needed(column):
     with pytest.raises(InputError, match=f"{column}, data row 5"):
         read_points(table, needed=COLUMNS[:4])
     assert read_points(grid().assign(remark="fine"), needed=COLUMNS[:4]).size == 144
+
+
+@pytest.mark.parametrize(("name", "values", "timed"), [
+    ("Time of day", [f"{8 + k // 12:02d}:{5 * (k % 12):02d}:00" for k in range(144)], False),
+    ("Time to steady [s]", [30.0] * 144, False),
+    ("Time to steady [s]", list(np.random.default_rng(1).uniform(20.0, 60.0, 144)), False),
+    ("time", [f"08:{k // 60:02d}:{k % 60:02d}" for k in range(144)], True),
+    ("Zeit", list(np.arange(144) * 200.0), True),  # in ms
+    ("Time [min]", list(np.arange(144) * 5.0), False),
+])  # fmt: skip
+def test_settled_points_may_have_times(tmp_path, name, values, timed):
+    """Any column called like a time made a recording of them, and refused it for want of `time_s`."""
+    table = grid().assign(**{name: values})
+    table.to_csv(tmp_path / "points.csv", index=False)
+    for source in (table, tmp_path / "points.csv"):
+        assert import_columns(source).timed == timed

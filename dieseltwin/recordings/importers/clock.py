@@ -40,6 +40,16 @@ def with_index(frame: pd.DataFrame) -> pd.DataFrame:
     return frame.reset_index(names=name)
 
 
+def with_clock(frame: pd.DataFrame, nameless: str) -> pd.DataFrame:
+    """The table whose first column, called `nameless` for want of a name, is its time where it holds dates or times.
+
+    pandas writes an index of dates so, and it is the time of a table in memory.
+    """
+    if TIME in frame or nameless not in stamped_columns(frame[frame.columns[:1]]):
+        return frame
+    return frame.rename(columns={nameless: TIME})
+
+
 def stamped_columns(frame: pd.DataFrame) -> list[str]:
     """Names of the columns that hold dates or times of day."""
     found = []

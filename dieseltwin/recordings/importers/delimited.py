@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from dieseltwin.errors import InputError
-from dieseltwin.recordings.importers.clock import first_stamp
+from dieseltwin.recordings.importers.clock import first_stamp, with_clock
 from dieseltwin.recordings.importers.decimals import clear_mark, doubtful_mark
 from dieseltwin.recordings.importers.layout import (
     LOOKED_AT,
@@ -90,6 +90,8 @@ def read_delimited(path: Path, content: bytes) -> RawChannels:
     units = {name: unit for name, unit in zip(names, dialect.layout.units, strict=True) if name and unit}
     frame, repeated = without_repeated_names(frame)
     frame, cell_units, cleaned = in_numbers(frame, decimal)
+    if not names[0]:
+        frame = with_clock(frame, _nameless(0))
     notes.extend((*repeated, *cleaned, *doubts))
     began = first_stamp(frame)
     frame, stamp_units, stamp_notes = in_seconds(frame, str(path))
@@ -241,7 +243,7 @@ def _no_table(path: Path, lines: Sequence[str]) -> InputError:
 
 def _numbers_of(path: Path, text: str, dialect: Dialect, decimal: str) -> pd.DataFrame:
     layout = dialect.layout
-    names = [name or f"column {i + 1}" for i, name in enumerate(layout.names)]
+    names = [name or _nameless(i) for i, name in enumerate(layout.names)]
     missing = sorted({spelling for word in MISSING for spelling in (word, word.upper(), word.capitalize())})
     try:
         with warnings.catch_warnings():
@@ -260,6 +262,11 @@ def _numbers_of(path: Path, text: str, dialect: Dialect, decimal: str) -> pd.Dat
     for name in [name for name, given in zip(names, layout.names, strict=True) if not given]:
         frame = frame.drop(columns=name) if frame[name].isna().all() or _is_count(frame[name]) else frame
     return frame
+
+
+def _nameless(index: int) -> str:
+    """What a column without a name is called."""
+    return f"column {index + 1}"
 
 
 def _of_cells(dialect: Dialect, decimal: str) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pandas as pd
 
 from dieseltwin.errors import InputError
-from dieseltwin.recordings.importers.clock import first_stamp
+from dieseltwin.recordings.importers.clock import first_stamp, with_clock
 from dieseltwin.recordings.importers.decimals import clear_mark, doubtful_mark
 from dieseltwin.recordings.importers.layout import LOOKED_AT, Layout, find_layout, is_missing, refuse_repeated
 from dieseltwin.recordings.importers.numeric_clocks import in_seconds
@@ -77,11 +77,11 @@ def _frame(rows: list[tuple[Cell, ...]], layout: Layout) -> pd.DataFrame:
     data = [row for row in rows[layout.first_data :] if any(cell is not None for cell in row)]
     columns = {}
     for index, name in enumerate(layout.names):
-        if not name:
+        if not name and index > 0:
             continue
         cells = [row[index] if index < len(row) else None for row in data]
         columns[name] = _column([None if isinstance(cell, str) and is_missing(cell) else cell for cell in cells])
-    return pd.DataFrame(columns)
+    return with_clock(pd.DataFrame(columns), "").drop(columns="", errors="ignore")
 
 
 def _column(cells: list[Cell]) -> pd.Series:

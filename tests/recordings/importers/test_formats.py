@@ -187,6 +187,18 @@ def test_vectors_of_several_lengths_have_the_unit_of_their_clock(tmp_path, drive
     np.testing.assert_allclose(signals["slow.p_em"].time_s, drive["time_s"][::5], atol=1e-9)
 
 
+@pytest.mark.parametrize("ending", ["csv", "parquet", "xlsx"])
+def test_an_index_of_dates_is_the_time_in_every_format(tmp_path, drive, ending):
+    """A CSV, whose index pandas leaves without a name, had no time."""
+    stamped = drive.set_index(pd.Timestamp("2026-03-05 12:00") + pd.to_timedelta(drive["time_s"].to_numpy(), unit="s"))
+    path = tmp_path / f"drive.{ending}"
+    table = stamped.drop(columns="time_s").rename_axis(None)
+    {"csv": table.to_csv, "parquet": table.to_parquet, "xlsx": table.to_excel}[ending](path)
+    read = read_recording(path)
+    np.testing.assert_allclose(read.time_s, drive["time_s"], atol=1e-6)
+    assert read.began is not None and f"{read.began:%Y-%m-%d %H:%M}" == "2026-03-05 12:00"
+
+
 def test_a_broken_or_unknown_frame_costs_no_trace(tmp_path):
     """A page that the DBC lacks, and a last line that ends in the middle of a byte, ended in a traceback."""
     pytest.importorskip("cantools")
