@@ -40,6 +40,14 @@ UNTOLD = 0.9  # of what was believed beforehand: a deviation that a recording le
 OWNED = ("engine.yaml", "report.html", "report.pdf", "figures", "runtime.json", DETAILS, FILE_NAME)
 
 
+def _over_readings(result: Result, rig: RigParameters, recording: RigRecording, name: str | None) -> Figure:
+    """`readings`: a machine in free runs beside what was recorded."""
+    from dieseltwin.report.over_time import beside_readings
+
+    frame = simulate_rig(rig, recording)
+    return drawn(result, {"readings": lambda _: beside_readings(frame, recording.readings)}, name)
+
+
 @dataclass(frozen=True, repr=False)
 class RigDiscovered(Discovered):
     """What a rig's file leaves out of a recording.
@@ -70,10 +78,7 @@ class RigDiscovered(Discovered):
 
     def plot(self, name: str | None = None) -> Figure:
         """`readings`: the repaired machine in free runs beside what was recorded."""
-        from dieseltwin.report.over_time import beside_readings
-
-        frame = simulate_rig(self.engine, self.found.recording)
-        return drawn(self, {"readings": lambda s: beside_readings(frame, s.found.recording.readings)}, name)
+        return _over_readings(self, self.engine, self.found.recording, name)
 
     def save(self, out: str | Path) -> Path:
         """discrepancy.json, details.json, report.html, figures/, engine.yaml (repaired), runtime.json."""
@@ -135,7 +140,8 @@ def ask(
     if rig is None:
         raise InputError("engine", "no rig", "a rig", "name the rig's file")
     refuse_options({"--sensors": question.sensors, "--map-tolerance": question.map_tolerance,
-                    "--reference": tuple(question.reference) or None}, f"for {rig.name}")  # fmt: skip
+                    "--reference": tuple(question.reference) or None, "--time": question.time_s},
+                   f"for {rig.name}")  # fmt: skip
     search, withhold = question.settings.search.rigs, tuple(question.withhold or ())
     question.check(rig.effects)
     asked = {
@@ -153,12 +159,14 @@ class RigIdentified(Result):
 
     Attributes:
         engine: the rig with them.
+        recording: that it was fitted to.
         seconds: wall time.
         off: column -> root mean square error of the fitted rig's free runs [unit of the reading].
         notes: what reading did to the recording.
     """
 
     engine: RigParameters
+    recording: RigRecording
     seconds: float
     off: Mapping[str, float]
     notes: tuple[Note, ...] = ()
@@ -186,8 +194,8 @@ class RigIdentified(Result):
         return pd.DataFrame.from_dict(rows, orient="index").rename_axis("parameter")
 
     def plot(self, name: str | None = None) -> Figure:
-        """None."""
-        return drawn(self, {}, name)
+        """`readings`: the fitted machine in free runs beside what was recorded."""
+        return _over_readings(self, self.engine, self.recording, name)
 
     def save(self, out: str | Path) -> Path:
         """engine.yaml with the fitted values, runtime.json."""
@@ -207,4 +215,4 @@ def identify_rig(recording: Source | RigRecording, rig: RigParameters) -> RigIde
     source = rig_recording(recording, rig, all_readings=True)
     found = fitted(rig, source)[0]
     off = dict(zip(rig.readings, map(float, run_error(found, source)), strict=True))
-    return RigIdentified(found, time.perf_counter() - began, off, source.notes)
+    return RigIdentified(found, source, time.perf_counter() - began, off, source.notes)

@@ -25,6 +25,8 @@ from dieseltwin.cli.options import (
 from dieseltwin.settings import methods
 from dieseltwin.settings.names import refuse_options, unknown_name
 
+METHOD = "classical"
+
 
 def identify_command(
     recording: Annotated[
@@ -37,7 +39,7 @@ def identify_command(
     method: Annotated[
         str,
         typer.Option("--method", metavar="M", help=f"One of {', '.join(methods.names())}."),
-    ] = "classical",
+    ] = METHOD,
     runs: Annotated[int | None, typer.Option("--runs", metavar="N", help="Independent starts a segment.")] = None,
     engine: EngineFile = None,
     channels: ChannelsFile = None,
@@ -79,8 +81,14 @@ def identify_command(
 
     rig = rig_of(engine)
     if rig is not None:
+        from dieseltwin.settings.params import DEFAULT_PROFILE
+
         refuse_options({"--runs": runs, "--channels": channels, "--sensors": sensors, "--models": models,
-                        "--maps": maps, "--segment": segment, "--seed": seed}, f"for {rig.name}")  # fmt: skip
+                        "--maps": maps, "--segment": segment, "--seed": seed, "--params": params,
+                        "--method": None if method == METHOD else method,
+                        "--profile": None if profile == DEFAULT_PROFILE else profile,
+                        "--pdf": pdf or None, "--strict": strict or None,
+                        "--no-fit-test": None if fit_test else True}, f"for {rig.name}")  # fmt: skip
         check_folder(out)
         fitted = identify_rig(recording, rig)
         fitted.save(out)

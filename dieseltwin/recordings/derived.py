@@ -3,7 +3,7 @@
 A channel map names them with `via`::
 
     Boost:    {column: p_im_pa, unit: kPa, via: gauge}                                 # needs p_amb_pa
-    FuelRate: {column: u_delta_mg, unit: L/h, via: fuel_rate, cylinders: 6}            # needs n_e_rpm
+    FuelRate: {column: u_delta_mg, unit: L/h, via: fuel_volume_rate, cylinders: 6}     # needs n_e_rpm
     EGR_Rate: {column: w_egr_kg_s, unit: "%", via: egr_rate}                           # needs w_c_kg_s
 """
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import yaml
 
 from dieseltwin.errors import InputError
+from dieseltwin.recordings import channels, derived
 from dieseltwin.recordings.channels import channel_map
 from dieseltwin.recordings.derived import DERIVATIONS
 
@@ -31,8 +33,6 @@ OTHERS = {"n_e_rpm": np.array([1200.0]), "p_amb_pa": np.array([84e3]), "p_im_pa"
     ],
 )
 def test_formulas_by_hand(tmp_path, entry, value, expected):
-    import yaml
-
     mapping = channel_map({"x": yaml.safe_load(entry)})
     column = mapping.entries["x"].column
     columns = {"x": np.array([value]), **{name: values for name, values in OTHERS.items() if name != column}}
@@ -88,3 +88,10 @@ def test_what_a_formula_needs_must_be_there():
     mapping = channel_map({"x": {"column": "p_im_pa", "unit": "kPa", "via": "gauge"}})
     with pytest.raises(InputError, match=r"needs p_amb_pa.*ambient_pa"):
         mapping.apply({"x": np.array([40.0])}, "file")
+
+
+def test_the_examples_in_the_words_are_channel_maps():
+    for module in (derived, channels):
+        text = (module.__doc__ or "").split("::\n")[1]
+        lines = [line for line in text.splitlines() if line.startswith("    ")]
+        assert lines and len(channel_map(yaml.safe_load("\n".join(lines))).entries) == len(lines)

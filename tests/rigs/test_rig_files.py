@@ -13,6 +13,7 @@ import pytest
 import yaml
 
 import dieseltwin as dt
+from dieseltwin.cli.app import main
 from dieseltwin.errors import InputError
 from dieseltwin.rigs.expressions import moment, names_in
 from dieseltwin.rigs.parameters import LawFactor, Quantity, RigLaw, RigParameters, RigTerm, load_rig, save_rig
@@ -241,3 +242,25 @@ def test_a_rig_reads_any_format(tank: RigParameters, tmp_path: Path) -> None:
     table.to_excel(tmp_path / "a.xlsx", index=False)
     for source in (tmp_path / "a.csv", tmp_path / "a.xlsx", table):
         np.testing.assert_allclose(read_rig(source, tank).readings["level"], table["level"], rtol=1e-12)
+
+
+def test_a_fitted_rig_draws_its_readings(tank: RigParameters) -> None:
+    """`plot()` raised, although every result has one."""
+    fitted = dt.identify(emptying(0.6), tank)
+    assert fitted.plot().axes and fitted.plot("readings").axes
+
+
+@pytest.mark.parametrize("option", [["--pdf"], ["--strict"], ["--method", "multi-stage"], ["--profile", "paper"],
+                                    ["--no-fit-test"], ["--params", "x.yaml"], ["--runs", "2"]])  # fmt: skip
+def test_options_that_mean_nothing_to_a_rig_are_refused(
+    tmp_path: Path, tank: RigParameters, capsys: pytest.CaptureFixture[str], option: list[str]
+) -> None:
+    """Six of them were passed over without a word, and so was the time that a search may take."""
+    save_rig(tank, tmp_path / "tank.yaml")
+    emptying(0.6).to_csv(tmp_path / "tank.csv", index=False)
+    asked = [str(tmp_path / "tank.csv"), "--engine", str(tmp_path / "tank.yaml"), "--out", str(tmp_path / "out")]
+    assert main(["identify", *asked, *option]) == 2
+    assert f"{option[0]}: got given; allowed: no such option for tank" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+    assert main(["discover", *asked, "--time", "5"]) == 2
+    assert "--time: got given; allowed: no such option for tank" in capsys.readouterr().err
