@@ -17,10 +17,10 @@ from dieseltwin.paths import file_sha256
 from dieseltwin.recordings.channels import TIME, ChannelMap, channel_map, known_columns, read_channel_map
 from dieseltwin.recordings.derived import NOTHING, Made
 from dieseltwin.recordings.importers.clock import first_stamp, with_index
+from dieseltwin.recordings.importers.layout import told_unit
 from dieseltwin.recordings.importers.numeric_clocks import in_seconds
 from dieseltwin.recordings.importers.read import read_raw
 from dieseltwin.recordings.raster import on_one_raster, quantities
-from dieseltwin.recordings.time_units import told_unit
 
 LIKE_TIME = ("time", "t_s", "t [", "zeit", "uhrzeit", "sekunden", "seconds")
 """Beginnings of names that a column of time may have in a file that nobody mapped."""

@@ -1,12 +1,9 @@
-"""Units of time: their size, how files spell them, and the one that a clock's name carries."""
+"""Units of time: their size, how files spell them, and the one that rows of a recording make likely."""
 
 from __future__ import annotations
 
-import re
 import unicodedata
 from collections.abc import Mapping
-
-from dieseltwin.recordings.importers.layout import unit_in_name
 
 SECONDS: Mapping[str, float] = {
     "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0}  # fmt: skip
@@ -31,17 +28,6 @@ def in_s(spelling: str | None) -> float | None:
     if spelling is None:
         return None
     return _SIZE.get(unicodedata.normalize("NFKC", spelling).strip().lower().rstrip("."))
-
-
-def told_unit(name: str, unit: str | None) -> float | None:
-    """Size [s] of a clock's unit, by what the file says besides or by its name ('Time [ms]', 't_min'); None without.
-
-    Args:
-        name: of a column of times: in another one, 'min' may be the smallest.
-        unit: as the file gives it beside the name.
-    """
-    last = re.split(r"[\s_]+", name.strip())[-1]
-    return next((size for text in (unit, unit_in_name(name), last) if (size := in_s(text)) is not None), None)
 
 
 def likely_unit(step: float) -> float:

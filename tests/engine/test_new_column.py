@@ -23,6 +23,7 @@ from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.errors import InputError
 from dieseltwin.identification.few_shot._compiled import N_CHANNELS, curvature, residuals
 from dieseltwin.paper.datasets import add_noise
+from dieseltwin.recordings.channels import read_channel_map
 from dieseltwin.recordings.reader import recording
 from dieseltwin.report.over_time import beside_readings
 from dieseltwin.settings.params import load_params
@@ -42,7 +43,7 @@ except InputError as error:
     told["refused"] = str(error)
 
 noisy.assign(t_c_k=noisy["t_c_k"] - 273.15).rename(columns={"t_c_k": "T after compressor [degC]"}).to_csv("noisy.csv")
-guessed = dt.channels("noisy.csv").proposal.channel_map()
+guessed = read_channel_map(dt.channels("noisy.csv").save("map.yaml"))
 told["unit"] = guessed.entries["T after compressor [degC]"].unit
 read = dt.read("noisy.csv", channels=guessed)
 told["figure"] = [axes.get_ylabel() for axes in beside_readings(true, read.columns).figure.axes]

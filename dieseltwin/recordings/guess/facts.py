@@ -9,10 +9,10 @@ import numpy as np
 import pandas as pd
 
 from dieseltwin.recordings.held import own_readings
-from dieseltwin.recordings.importers.layout import unit_in_name
+from dieseltwin.recordings.importers.layout import told_unit, unit_in_name
 from dieseltwin.recordings.importers.numeric_clocks import is_clock_name
 from dieseltwin.recordings.importers.signals import RawChannels, Signal
-from dieseltwin.recordings.time_units import SECONDS, likely_unit, told_unit
+from dieseltwin.recordings.time_units import SECONDS, likely_unit
 
 GAP_STEPS = 3.0  # a pause longer than three usual steps is a gap
 FEW_LEVELS = 0.5  # of the readings: a channel with fewer distinct values than that has a step to name

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+from scipy.stats import rankdata
 
 from dieseltwin.recordings.guess.facts import Facts
 from dieseltwin.recordings.guess.reading import Reading
@@ -243,9 +244,11 @@ def _pressure_ratio(columns: Mapping[str, np.ndarray]) -> np.ndarray | None:
 
 
 def ranks_agree(a: np.ndarray, b: np.ndarray) -> float:
-    """Rank correlation of two columns (m,) [-]."""
-    first, second = (np.argsort(np.argsort(values)).astype(np.float64) for values in (a, b))
-    return float(np.corrcoef(first, second)[0, 1])
+    """Rank correlation of two columns (m,) [-]; rows of one value share a rank, and none is said by a column of one."""
+    there = np.isfinite(a) & np.isfinite(b)
+    if not there.any() or np.ptp(a[there]) == 0.0 or np.ptp(b[there]) == 0.0:
+        return 0.0
+    return float(np.corrcoef(rankdata(a[there]), rankdata(b[there]))[0, 1])
 
 
 def moves(values: np.ndarray) -> bool:

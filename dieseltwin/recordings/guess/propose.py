@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dieseltwin.recordings.channels import ChannelMap, unit_of
+from dieseltwin.recordings.channels import unit_of
 from dieseltwin.recordings.guess.evidence import Support
 from dieseltwin.recordings.guess.facts import Clock, Facts, clock_of, facts_of, signals_of
 from dieseltwin.recordings.guess.machines import DIESEL, PETROL, Machine
@@ -99,11 +99,6 @@ class Proposal:
     unconverted: Mapping[str, tuple[str, str]]
     machine: Machine
     throttle: str | None = None
-
-    def channel_map(self) -> ChannelMap:
-        """The guesses as a map that a reader takes."""
-        entries = {candidate.channel: candidate.reading.entry for candidate in self.guesses.values()}
-        return ChannelMap(entries, "proposal", self.database)
 
 
 def propose(

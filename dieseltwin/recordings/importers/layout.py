@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from dieseltwin.errors import InputError
+from dieseltwin.recordings.time_units import in_s
 
 LOOKED_AT = 200  # rows from the top: loggers write up to about a hundred lines before the names
 NUMERIC_SHARE = 0.5  # of the filled cells of a row of data; comment columns and states are text
@@ -219,6 +220,17 @@ def unit_in_name(name: str) -> str | None:
         return f"{found.group(1)}/{found.group(2)}"
     found = _DEGREES.search(name)
     return f"deg{found.group(1)}".replace("degK", "K") if found and _says_heat(name[: found.start()]) else None
+
+
+def told_unit(name: str, unit: str | None) -> float | None:
+    """Size [s] of a clock's unit, by what the file says besides or by its name ('Time [ms]', 't_min'); None without.
+
+    Args:
+        name: of a column of times: in another one, 'min' may be the smallest.
+        unit: as the file gives it beside the name.
+    """
+    last = re.split(r"[\s_]+", name.strip())[-1]
+    return next((size for text in (unit, unit_in_name(name), last) if (size := in_s(text)) is not None), None)
 
 
 def without_unit(name: str) -> str:

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from dieseltwin.recordings.importers.layout import is_unit
+from dieseltwin.recordings.importers.layout import is_unit, told_unit
 from dieseltwin.recordings.importers.signals import RawChannels, Signal, refuse_restart
-from dieseltwin.recordings.time_units import SECONDS, told_unit
+from dieseltwin.recordings.time_units import SECONDS
 
 MOST_COLUMNS, MOST_NAMES, LEAST_NAMES = 6, 2000, 3
 READINGS = 10  # of each name, on average: a column of states has fewer names or a column of comments fewer rows

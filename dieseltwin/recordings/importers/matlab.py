@@ -12,8 +12,8 @@ import pandas as pd
 import scipy  # its `io` loads when it is wanted: a tenth of a second that other recordings need not wait
 
 from dieseltwin.errors import InputError
+from dieseltwin.recordings.importers.layout import told_unit
 from dieseltwin.recordings.importers.signals import RawChannels, Signal, unique_names, unreadable
-from dieseltwin.recordings.time_units import told_unit
 from dieseltwin.settings.extras import require
 
 # fields of a structure that holds one signal, in lower case
