@@ -10,10 +10,10 @@ from typing import Annotated
 import typer
 
 from dieseltwin.atomic import check_writable
-from dieseltwin.cli.options import names
-from dieseltwin.errors import InputError
+from dieseltwin.cli.options import check_ending, help_without_command, names
 
 challenge_app = typer.Typer(help="Concealed benchmark: recordings with sealed answers, run the tool, open and score.")
+challenge_app.callback(invoke_without_command=True)(help_without_command)
 
 Jobs = Annotated[int | None, typer.Option("--jobs", metavar="J", min=1, help="Processes; one per core by default.")]
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of `challenge make`.")]
@@ -26,12 +26,6 @@ def _progress(done: int, total: int, note: str = "") -> None:
 
 def _cores() -> int:
     return len(os.sched_getaffinity(0))
-
-
-@challenge_app.callback(invoke_without_command=True)
-def _help(context: typer.Context) -> None:
-    if context.invoked_subcommand is None:
-        typer.echo(context.get_help())
 
 
 @challenge_app.command()
@@ -104,8 +98,7 @@ def curve(
     """Draw names, none-of-these and health error over minutes of reference and size of the maps' errors."""
     from dieseltwin.challenge.curve import write_curve
 
-    if out.suffix not in (".png", ".svg"):
-        raise InputError("--out", str(out), "a name that ends in .png or .svg", "choose another")
+    check_ending(out, (".png", ".svg"))
     check_writable(out)
     for place in write_curve(folders, out):
         health = "-" if place.health is None else f"{100 * place.health:.2f} %"

@@ -9,10 +9,7 @@ from typing import Annotated
 import typer
 
 from dieseltwin.atomic import check_writable
-from dieseltwin.cli.options import check_apart
-from dieseltwin.errors import InputError
-
-MAP_SUFFIXES = (".yaml", ".yml")
+from dieseltwin.cli.options import YAML_ENDINGS, check_apart, check_ending
 
 
 def channels_command(
@@ -52,10 +49,8 @@ def run_channels(
     Raises:
         InputError: a file that cannot be read, or a map that cannot be written.
     """
-    if out is not None and out.suffix.lower() not in MAP_SUFFIXES:
-        raise InputError(f"--out {out}", f"ending {out.suffix or 'nothing'}", ", ".join(MAP_SUFFIXES),
-                         "choose one of them")  # fmt: skip
     if out is not None:
+        check_ending(out, YAML_ENDINGS)
         check_apart(out, file, dbc)
         check_writable(out)
     from dieseltwin.api.channels import channels

@@ -10,11 +10,13 @@ from typing import Annotated
 
 import typer
 
+from dieseltwin.cli.options import help_without_command
 from dieseltwin.errors import InputError
 
 Name = Annotated[str, typer.Argument(metavar="NAME", help="A set (liu_ice) or one file of it (liu_ice/wltp_NF.csv).")]
 
 data_app = typer.Typer(help="Recordings of other people: origin, terms, and checked local copies.")
+data_app.callback(invoke_without_command=True)(help_without_command)
 
 
 def list_lines() -> Iterator[str]:
@@ -38,12 +40,6 @@ def _where(name: str) -> str:
     except InputError as error:
         return f"WRONG COPY: {error.what}"
     return "not here" if found is None else found[0]
-
-
-@data_app.callback(invoke_without_command=True)
-def _help(context: typer.Context) -> None:
-    if context.invoked_subcommand is None:
-        typer.echo(context.get_help())
 
 
 @data_app.command("list")

@@ -8,8 +8,17 @@ from typing import Annotated
 import typer
 
 from dieseltwin.atomic import check_writable
-from dieseltwin.cli.options import ChannelsFile, EngineFile, check_apart, progress, readable, readable_engines, say
-from dieseltwin.errors import InputError
+from dieseltwin.cli.options import (
+    YAML_ENDINGS,
+    ChannelsFile,
+    EngineFile,
+    check_apart,
+    check_ending,
+    progress,
+    readable,
+    readable_engines,
+    say,
+)
 
 
 def learn_command(
@@ -39,8 +48,7 @@ def learn_command(
 
     A petrol engine (--engine liu_petrol, or a file of its volumes) is learned from all of its recordings at once.
     """
-    if out.suffix not in (".yaml", ".yml"):
-        raise InputError("--out", str(out), "a name that ends in .yaml", "choose another")
+    check_ending(out, YAML_ENDINGS)
     check_apart(out, *recordings, *(siblings or ()), channels)
     check_writable(out)
     progress("learning ...")

@@ -32,6 +32,8 @@ Pdf = Annotated[bool, typer.Option("--pdf", help="Print the report to report.pdf
 Strict = Annotated[bool, typer.Option("--strict", help="Exit code 3 when the answer carries a warning.")]
 
 
+YAML_ENDINGS = (".yaml", ".yml")
+
 Named = TypeVar("Named", Path, list[Path], None)
 
 
@@ -84,6 +86,16 @@ def check_apart(out: Path, *inputs: Path | str | None) -> None:
     for path in inputs:
         if path is not None and same_file(out, path):
             raise InputError(f"--out {out}", f"the file that is read ({path})", "another file", "choose another name")
+
+
+def check_ending(out: Path, allowed: Sequence[str]) -> None:
+    """Refuse a file that couldn't be written by its name, before the work.
+
+    Raises:
+        InputError: another ending than those.
+    """
+    if out.suffix.lower() not in allowed:
+        raise InputError(f"--out {out}", f"ending {out.suffix or 'nothing'}", ", ".join(allowed), "choose one of them")
 
 
 @contextmanager

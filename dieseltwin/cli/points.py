@@ -9,10 +9,7 @@ from typing import Annotated
 import typer
 
 from dieseltwin.atomic import check_writable
-from dieseltwin.cli.options import Strict, check_apart, readable, say, strictly
-from dieseltwin.errors import InputError
-
-ENGINE_SUFFIXES = (".yaml", ".yml")
+from dieseltwin.cli.options import YAML_ENDINGS, Strict, check_apart, check_ending, readable, say, strictly
 
 Points = Annotated[
     Path, typer.Argument(metavar="POINTS", callback=readable, help="Steady points, or a recording, in any format.")
@@ -39,8 +36,7 @@ def calibrate_command(
     from dieseltwin.api.calibration import calibrate
 
     began = time.perf_counter()
-    if out.suffix not in ENGINE_SUFFIXES:
-        raise InputError("--out", str(out), "a file ending in .yaml", "name an engine file")
+    check_ending(out, YAML_ENDINGS)
     check_apart(out, points, base, geometry, channels)
     check_writable(out)  # better known before the work
     found = calibrate(points, base, geometry=geometry, channels=channels, noise_pct=noise, seed=seed)
@@ -59,7 +55,9 @@ def imply_command(
 ) -> None:
     """Say, for each point, every quantity that nobody measured, with its standard deviation."""
     from dieseltwin.api.points import imply
+    from dieseltwin.recordings.reader import CSV_SUFFIXES, PARQUET_SUFFIXES
 
+    check_ending(out, (*CSV_SUFFIXES, *PARQUET_SUFFIXES))
     check_apart(out, points, engine, channels)
     check_writable(out)
     found = imply(points, engine, channels=channels)

@@ -9,8 +9,7 @@ import typer
 
 from dieseltwin.atomic import check_writable
 from dieseltwin.cli.effects import EffectOption, named_values
-from dieseltwin.cli.options import ChannelsFile, EngineFile, check_apart, readable, say
-from dieseltwin.errors import InputError
+from dieseltwin.cli.options import ChannelsFile, EngineFile, check_apart, check_ending, readable, say
 from dieseltwin.notes import of_reading
 
 SUFFIXES = (".csv", ".parquet")
@@ -36,8 +35,7 @@ def simulate_command(
     """Simulate the engine over recorded or made-up inputs."""
     from dieseltwin.api.simulation import simulate
 
-    if out.suffix.lower() not in SUFFIXES:
-        raise InputError(f"--out {out}", f"ending {out.suffix or 'nothing'}", ", ".join(SUFFIXES), "choose one of them")
+    check_ending(out, SUFFIXES)
     check_apart(out, inputs, engine, channels)
     check_writable(out)  # a place that cannot be written to is better known before the work
     found = simulate(inputs, engine, channels=channels, effects=named_values(effect or ()))

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from dieseltwin.settings.watch import WatchConfig
 
 watch_app = typer.Typer(help="The history of one engine: add recordings, see what has changed.", add_completion=False)
+watch_app.callback(invoke_without_command=True)(help_without_command)
 
 HistoryFolder = Annotated[Path, typer.Option("--history", metavar="DIR", help="Folder of the engine's history.")]
 Which = Annotated[str, typer.Argument(metavar="RECORDING", help="Its name, date, hash (8 digits will do) or the file.")]
@@ -33,11 +34,6 @@ Rate = Annotated[
     float | None,
     typer.Option("--alarms-per-year", metavar="X", help="False alarms an engine and year; else the settings'."),
 ]
-
-
-@watch_app.callback(invoke_without_command=True)
-def _help(context: typer.Context) -> None:
-    help_without_command(context)
 
 
 @watch_app.command("add")

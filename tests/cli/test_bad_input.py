@@ -246,6 +246,17 @@ def test_a_column_given_twice(tmp_path: Path, good: pd.DataFrame, refuse: Callab
     assert has_four_parts(said.line) and "p_im_pa" in said.line and "twice" in said.line
 
 
+@pytest.mark.parametrize("command", ["imply", "calibrate", "learn", "channels", "simulate"])
+def test_an_ending_that_can_not_be_written_is_refused_before_the_work(
+    tmp_path: Path, good: pd.DataFrame, refuse: Callable[..., Refusal], command: str
+) -> None:
+    """`imply` said it after the work, and three commands in three ways."""
+    good.to_csv(tmp_path / "drive.csv", index=False)
+    engine = ("--engine", str(tmp_path / "none.yaml")) if command == "imply" else ()
+    said = refuse(command, str(tmp_path / "drive.csv"), *engine, "--out", str(tmp_path / "a.pdf"))
+    assert f"--out {tmp_path / 'a.pdf'}: got ending .pdf; allowed: ." in said.line
+
+
 @pytest.mark.parametrize("content", [b"\x00\x01\x02\xff" * 200, b'time_s,n_e_rpm\n1,2,3,4\n"unclosed', b"\n\n\n"])
 def test_a_file_that_is_no_csv(tmp_path: Path, refuse: Callable[..., Refusal], content: bytes) -> None:
     path = tmp_path / "drive.csv"
