@@ -145,7 +145,7 @@ def _discovered(folder: Path) -> Saved:
         Effect(effect.name, place,
                _EMPTY if effect.magnitude is None
                else magnitude_words(effect.name, effect.magnitude, effect.std, effect.unit),
-               "> 99.9 %" if effect.probability > 0.999 else quantities.percent(effect.probability),
+               quantities.probability(effect.probability),
                ", ".join(effect.equivalent_names) or _EMPTY,
                effect.law or _EMPTY)
         for effect in document.effects

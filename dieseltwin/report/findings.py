@@ -28,15 +28,6 @@ def as_it_is(name: str, unit: str | None) -> tuple[str, float]:
     return ("" if unit in (None, "-") else str(unit)), 1.0
 
 
-def probability(value: float | None) -> str:
-    """A probability [-] in per cent; never 0 or 100 %."""
-    if value is None:
-        return EMPTY
-    if value > 0.999:
-        return "> 99.9 %"
-    return "< 0.1 %" if value < 0.001 else f"{100 * value:.1f} %"
-
-
 def findings(
     document: Discrepancy, shares: Shares | None = None, unit: Unit = display_unit,
     timed: bool | Collection[str] = True,
@@ -62,8 +53,8 @@ def findings(
         if effect.equivalent_names and effect.split_by:
             equivalent += f"; {effect.split_by} would settle it"
         times = (when if timed is True or effect.name in timed else always,) if timed else ()
-        rows.append((effect.name, size, interval, probability(effect.probability), _share(document, effect, shares),
-                     *times, equivalent))  # fmt: skip
+        rows.append((effect.name, size, interval, quantities.probability(effect.probability),
+                     _share(document, effect, shares), *times, equivalent))  # fmt: skip
     return Table(heads, rows, words=(0, len(heads) - 1), long=(len(heads) - 1,))
 
 
@@ -101,7 +92,7 @@ def places(document: Discrepancy) -> Table:
     rows: list[tuple[str, str]] = []
     if location is not None:
         sites = [(location.site, location.probability), *((a.site, a.probability) for a in location.alternatives)]
-        rows = [(f"{site_words(site)} ({site})", probability(value)) for site, value in sites]
+        rows = [(f"{site_words(site)} ({site})", quantities.probability(value)) for site, value in sites]
     return Table(("place", "probability"), rows)
 
 
@@ -190,7 +181,7 @@ def weighed(candidates: Sequence[Candidate], units: Mapping[str, str], unit: Uni
                 entry["site"],
                 EMPTY if gain is None else f"{gain:.1f}",
                 EMPTY if size is None else magnitude_words(name, size, entry["std"], units.get(name), shown=shown),
-                probability(entry["probability"]),
+                quantities.probability(entry["probability"]),
                 entry["reason"],
             )
         )

@@ -111,8 +111,7 @@ def _typeset(laws: Sequence[str]) -> Markup:
 
 def _sure(effect: FoundEffect, judged: str) -> str:
     words = next((words for least, words in SURE if effect.probability >= least), UNSURE)
-    shown = "more than 99.9 %" if effect.probability > 0.999 else quantities.percent(effect.probability)
-    text = f"{words.capitalize()} ({shown})."
+    text = f"{words.capitalize()} ({quantities.probability(effect.probability)})."
     if effect.equivalent_names:
         text += f" {judged} can't tell it from {' or '.join(effect.equivalent_names)}."
         if effect.split_by:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from markupsafe import Markup
 from matplotlib.figure import Figure
+from scipy.ndimage import median_filter
 
 from dieseltwin.discovery.verdict.document import Discrepancy, FoundEffect
 from dieseltwin.discovery.verdict.when import moments
@@ -54,12 +55,6 @@ MEANINGS = {
 MOST_SHOWN = 8  # effects in the figure of what was weighed
 
 
-def _running_median(x: np.ndarray, width: int) -> np.ndarray:
-    half = width // 2
-    padded = np.pad(x, half, mode="reflect")
-    return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(padded, width), axis=1))
-
-
 def _misfits(found: PetrolDiscovery, name: str) -> tuple[np.ndarray, list[tuple[np.ndarray, str, str]]]:
     """Blocks that count, and a balance's misfit there as read and, where something was found, with it taken back."""
     twin = found.twin
@@ -88,7 +83,7 @@ def balances_over_time(found: PetrolDiscovery) -> Series:
         lines = [Line(f"{label}, each second", PALE[colour], 100.0 * values, dots=True)
                  for values, colour, label in states]
         if kept.sum() > SMOOTH_BLOCKS:
-            lines += [Line(label, colour, 100.0 * _running_median(values, SMOOTH_BLOCKS))
+            lines += [Line(label, colour, 100.0 * median_filter(values, SMOOTH_BLOCKS, mode="mirror"))
                       for values, colour, label in states]
         stamps = found.time0_s + found.twin.time_s[kept]
         panels.append(Panel(f"misfit of the {TITLES[name]}", "%", stamps, tuple(lines)))

@@ -127,6 +127,15 @@ def percent(value: float, *, signed: bool = False) -> str:
     return f"{sign}{text} %"
 
 
+def probability(value: float | None) -> str:
+    """A probability [-] in per cent; never 0 or 100 %."""
+    if value is None:
+        return _EMPTY
+    if value > 0.999:
+        return "> 99.9 %"
+    return "< 0.1 %" if value < 0.001 else f"{100 * value:.1f} %"
+
+
 _NAMES = re.compile(r"\b(" + "|".join(sorted(map(re.escape, SYMBOLS), key=len, reverse=True)) + r")\b")
 
 

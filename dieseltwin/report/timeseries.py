@@ -112,7 +112,7 @@ def _fair_limit(reaches: Sequence[float]) -> float:
     return max(LEAST_LIMIT_PCT, min(max(reaches), max(OUTLIER_FACTOR * min(reaches), OUTLIER_LEAST_PCT)))
 
 
-def _informed(results: Results, method: MethodResult) -> NDArray[np.bool_]:
+def _informed(method: MethodResult) -> NDArray[np.bool_]:
     """Rows of a method's states in segments where every parameter is identifiable; all rows where there are none.
 
     A segment without information has bands that would set the scale of all others.
@@ -161,11 +161,11 @@ def _draw_error(axes: Axes, results: Results, column: str) -> None:
             _, high = _with_breaks(method.states, 100 * (edges[1] - expected) / scale)
             axes.fill_between(time, low, high, color=look.colour, alpha=0.2, linewidth=0)
             edge = np.maximum(np.abs(edges[0] - expected), np.abs(edges[1] - expected))
-            reaches[method.method] = _reach(100 * edge[_informed(results, method)] / scale)
+            reaches[method.method] = _reach(100 * edge[_informed(method)] / scale)
         time, values = _with_breaks(method.states, error)
         axes.plot(time, values, color=look.colour, linewidth=0.9, linestyle=look.line)
         reaches[method.method] = max(
-            _reach(error[_informed(results, method)]), reaches.get(method.method, 0.0)
+            _reach(error[_informed(method)]), reaches.get(method.method, 0.0)
         )
     limit = 1.25 * _fair_limit(list(reaches.values()))
     axes.set_ylim(-limit, limit)
