@@ -128,7 +128,8 @@ def first_stamp(frame: pd.DataFrame) -> datetime | None:
     """Date and time of the first row [UTC], where a column of date stamps says it; None without one."""
     for name in stamped_columns(frame):
         if _kind(frame[name]) in ("both", "date"):
-            text = _spelt_plainly(frame[name].dropna().astype(str))
+            text = frame[name].dropna().astype(str)
+            text = _spelt_plainly(text if "/" in text.iloc[0] else text.head(1))  # only there all rows tell the day
             stamp = pd.to_datetime(text.iloc[0], errors="coerce", dayfirst=bool(day_first(text)), utc=True)
             if not pd.isna(stamp):
                 return datetime.fromtimestamp(stamp.timestamp(), UTC)
