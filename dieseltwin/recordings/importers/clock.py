@@ -195,8 +195,8 @@ def _seconds(column: pd.Series, where: str) -> tuple[np.ndarray, list[str]]:
         text = _spelt_plainly(column.astype(str))
         first = day_first(text)
         if first is None:
-            notes.append(f"{text[column.notna()].iloc[0]} is read with the month first: nothing in the file says that "
-                         "it is the day")  # fmt: skip
+            notes.append(f"{text[column.notna()].iloc[0]} is read with the month first: no row tells it from the "
+                         "day")  # fmt: skip
         parsed = pd.to_datetime(text, errors="coerce", dayfirst=bool(first), format="mixed", utc=True)
         _refuse_unread(parsed.isna().to_numpy() & column.notna().to_numpy(), column, where)
         local = not text.head(SAMPLE).str.contains(r"(?:Z|[+-]\d{2}:?\d{2})$", regex=True).any()
