@@ -110,7 +110,8 @@ def baseline(
     began = time.perf_counter()
     lanes = make_lanes(problems, [0], what["runs"], what["seed"], config.start, what["first"])
     found = train_lanes(lanes, given["operators"], given["maps"], chosen)
-    estimates = estimates_of(problems[:1], found, what["runs"], began, METHOD, chosen.average_share)
+    share, below = chosen.average_share, config.identifiable_bound_rel
+    estimates = estimates_of(problems[:1], found, what["runs"], began, METHOD, share, below)
     _write(out, estimates, time.perf_counter() - began)
     np.savez(
         out / SOURCES, weights=found.weights.numpy(), masked=found.masked.numpy(),

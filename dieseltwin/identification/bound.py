@@ -23,7 +23,7 @@ from dieseltwin.least_squares import covariance
 Array = NDArray[np.float64]
 
 IDENTIFIABLE_BELOW = 0.25
-"""Largest relative bound that counts as identifiable: a known parameter is known to a quarter of its value."""
+"""The protocol's largest relative bound that counts as identifiable: a known parameter is known to a quarter."""
 
 NO_INFORMATION = 100.0
 """A relative bound beyond this is reported as infinite: the readings say nothing about the parameter."""
@@ -48,9 +48,9 @@ class Bound:
     initial: Array
     fisher: Array
 
-    def identifiable(self) -> NDArray[np.bool_]:
-        """(4,) whether the relative bound is at most `IDENTIFIABLE_BELOW`."""
-        return np.asarray(self.relative <= IDENTIFIABLE_BELOW)
+    def identifiable(self, below: float) -> NDArray[np.bool_]:
+        """(4,) whether the relative bound is at most `below` [-] (`identify.identifiable_bound_rel` of params.yaml)."""
+        return np.asarray(self.relative <= below)
 
 
 def cramer_rao(
@@ -86,19 +86,34 @@ def cramer_rao(
 
 
 def cautious_bound(
-    problems: Sequence[SegmentProblem], health: ArrayLike, initial: ArrayLike, *, simulator: Simulator = exact_engine
+    problems: Sequence[SegmentProblem],
+    health: ArrayLike,
+    initial: ArrayLike,
+    below: float,
+    *,
+    simulator: Simulator = exact_engine,
 ) -> list[Bound]:
     """Bounds at the estimate; `relative` (identifiable or not) is the larger of that and the one at the nominal values.
 
-    A wrong estimate must not vouch for itself: at idle h_tot can run off to where eta_sc looks certain.
+    A wrong estimate must not vouch for itself: at idle h_tot can run off to where eta_sc looks certain. Where the
+    larger one is above `below`, `absolute` is that share of the estimate too: a parameter that is not identifiable
+    shows the bound that says so.
+
+    Args:
+        problems: S segments.
+        health: (4,) or (S, 4) estimates [m2, m2, -, W/(m2 K)]; initial: (S, 3) or (3,), see `cramer_rao`.
+        below: largest relative bound that counts as identifiable [-].
+        simulator: exact engine or one with learned maps.
     """
     at_estimate = cramer_rao(problems, health, initial, simulator=simulator)
     nominal = np.stack([problem.parameters.health() for problem in problems])
     at_nominal = cramer_rao(problems, nominal, initial, simulator=simulator)
-    return [
-        replace(own, relative=np.maximum(own.relative, other.relative))
-        for own, other in zip(at_estimate, at_nominal, strict=True)
-    ]
+    found = []
+    for own, other, values in zip(at_estimate, at_nominal, np.broadcast_to(health, nominal.shape), strict=True):
+        relative = np.maximum(own.relative, other.relative)
+        absolute = np.where(relative <= below, own.absolute, relative * values)
+        found.append(replace(own, relative=relative, absolute=absolute))
+    return found
 
 
 def nominal_bound(problem: SegmentProblem, states: Array) -> Bound:

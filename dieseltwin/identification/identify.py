@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from dieseltwin.errors import InputError
@@ -58,5 +57,4 @@ def identify_segments(
     began = time.perf_counter()
     estimates = chosen.run(list(problems), runs, seed, bodies=bodies, operators=operators, maps=maps, config=config)
     seconds = time.perf_counter() - began
-    segments = [replace(e, identifiable=e.bound <= config.identifiable_bound_rel * e.centre) for e in estimates]
-    return Identification(method, tuple(segments), tuple(problems), seed, seconds, config.identifiable_bound_rel)
+    return Identification(method, tuple(estimates), tuple(problems), seed, seconds, config.identifiable_bound_rel)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from dieseltwin.engine import settle
+from dieseltwin.engine.simulate import settle_first
 from dieseltwin.identification.bound import cautious_bound
 from dieseltwin.identification.input_errors import input_errors
 from dieseltwin.identification.learned import ErrorDirections, LearnedSimulator
@@ -113,8 +113,10 @@ def estimate(
         ambient = _by_ambient(shooting, fit, settings, errors)
         parts = [
             replace(part, ambient_log=change)
-            for part, change in zip(_segments(shooting, fit, runs, [normal[i] for i in group], seconds), ambient,
-                                    strict=True)
+            for part, change in zip(
+                _segments(shooting, fit, runs, [normal[i] for i in group], seconds, config.identifiable_bound_rel),
+                ambient, strict=True,
+            )
         ]  # fmt: skip
         result.update(zip(group, parts, strict=True))
     return [result[i] for i in range(len(problems))]
@@ -216,16 +218,12 @@ def fit_runs(
 def _starts(problem: SegmentProblem, runs: int, start: StartConfig, rng: np.random.Generator) -> Array:
     centre = start_centre(problem.parameters, problem.truth, start.at)
     health = starts(centre, runs, rng, start.sd_masked)
-    at = problem.inputs.n_history
-    inputs = problem.inputs
-    rest = settle(
-        inputs.n_e_rpm[at], inputs.u_delta_mg[at], inputs.u_egr_pct[at], inputs.u_vgt_pct[at], problem.parameters
-    )
+    rest = settle_first(problem.inputs, problem.parameters)
     return np.log(np.concatenate([health, problem.first_states(problem.readings(runs), absent=rest)], axis=1))
 
 
 def _segments(
-    shooting: Shooting, fit: Fit, runs: int, normal: Sequence[Array], seconds: float
+    shooting: Shooting, fit: Fit, runs: int, normal: Sequence[Array], seconds: float, below: float
 ) -> list[SegmentEstimate]:
     count = len(shooting.problems)
     unknowns = fit.unknowns.reshape(count, runs, N_UNKNOWNS)
@@ -239,9 +237,8 @@ def _segments(
     used = np.where(converged.any(axis=1, keepdims=True), converged, True)
     pooled = np.einsum("srk,sr->sk", unknowns, used) / used.sum(axis=1, keepdims=True)
     states = shooting.simulate(np.arange(count), pooled).states
-    bounds = cautious_bound(
-        shooting.problems, np.exp(pooled[:, :N_HEALTH]), np.exp(pooled[:, N_HEALTH:]), simulator=shooting.simulator
-    )
+    health, initial = np.exp(pooled[:, :N_HEALTH]), np.exp(pooled[:, N_HEALTH:])
+    bounds = cautious_bound(shooting.problems, health, initial, below, simulator=shooting.simulator)
     result = []
     for s, problem in enumerate(shooting.problems):
         rows = np.flatnonzero(used[s])[np.arange(len(normal[s])) % used[s].sum()]
@@ -256,7 +253,7 @@ def _segments(
                 interval_90=interval[s],
                 states=states[s],
                 bound=bounds[s].absolute,
-                identifiable=bounds[s].identifiable(),
+                identifiable=bounds[s].identifiable(below),
                 converged=converged[s],
                 seconds_per_run=seconds,
                 method=METHOD,

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from dieseltwin.engine import HEALTH, MEASURED, Inputs, simulate, we2011
-from dieseltwin.identification.bound import cramer_rao
+from dieseltwin.identification.bound import IDENTIFIABLE_BELOW, cautious_bound, cramer_rao
 from dieseltwin.identification.problem import SegmentProblem
 
 Make = Callable[..., SegmentProblem]
@@ -59,10 +59,25 @@ def test_masked_readings_carry_no_information(problem: SegmentProblem) -> None:
 
 def test_a_shut_egr_valve_makes_its_area_unidentifiable(idle_problem: SegmentProblem) -> None:
     bound = cramer_rao([idle_problem], we2011.FIELD.health(), start(idle_problem))[0]
-    assert not bound.identifiable()[HEALTH.index("A_egrmax")]
+    assert not bound.identifiable(IDENTIFIABLE_BELOW)[HEALTH.index("A_egrmax")]
     assert np.isinf(bound.absolute[HEALTH.index("A_egrmax")])
     assert np.isfinite(bound.relative[HEALTH.index("A_vgtmax")])
 
 
 def test_driving_identifies_everything(problem: SegmentProblem) -> None:
-    assert cramer_rao([problem], we2011.FIELD.health(), start(problem))[0].identifiable().all()
+    bound = cramer_rao([problem], we2011.FIELD.health(), start(problem))[0]
+    assert bound.identifiable(IDENTIFIABLE_BELOW).all()
+
+
+def test_an_estimate_far_off_shows_the_bound_that_it_is_judged_by(simulated: Make, drive: Drive) -> None:
+    """Two seconds tell three times the h_tot to 22 %, and the laboratory's to 35 %."""
+    there = we2011.FIELD.replace(h_tot=3.0 * we2011.FIELD.h_tot)
+    problem = simulated(drive(600, 11), there)
+    own, nominal = (
+        cramer_rao([problem], values, start(problem))[0] for values in (there.health(), problem.parameters.health())
+    )
+    bound = cautious_bound([problem], there.health(), start(problem), IDENTIFIABLE_BELOW)[0]
+    assert own.identifiable(IDENTIFIABLE_BELOW).all()
+    assert bound.identifiable(IDENTIFIABLE_BELOW).tolist() == [True, True, True, False]
+    np.testing.assert_array_equal(bound.absolute[:3], own.absolute[:3])
+    np.testing.assert_allclose(bound.absolute[3], nominal.relative[3] * there.h_tot)

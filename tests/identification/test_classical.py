@@ -100,6 +100,23 @@ def test_idle_with_a_shut_valve_is_flagged(idle_problem: SegmentProblem) -> None
     assert found.segments[0].identifiable[HEALTH.index("A_vgtmax")]
 
 
+def test_an_estimate_far_off_does_not_vouch_for_itself(simulated: Make, drive: Drive) -> None:
+    """Where the bound at the nominal values is above the mark, and that at the estimate isn't."""
+    problem = simulated(drive(600, 11), we2011.FIELD.replace(h_tot=3.0 * we2011.FIELD.h_tot), noise_seed=None)
+    (found,) = identify_segments([problem], "classical", 1, 0, config=PAPER).segments
+    own = cramer_rao([problem], found.centre, found.states[0, :3])[0]
+    assert (own.relative < PAPER.identifiable_bound_rel).all()
+    assert found.identifiable.tolist() == [True, True, True, False]
+
+
+def test_the_mark_of_the_settings_decides(problem: SegmentProblem) -> None:
+    strict = PAPER.model_copy(update={"identifiable_bound_rel": 0.01})
+    (found,) = identify_segments([problem], "classical", 1, 0, config=strict).segments
+    relative = found.bound / found.centre
+    assert found.identifiable.any() and not found.identifiable.all()
+    np.testing.assert_array_equal(found.identifiable, relative <= 0.01)
+
+
 def test_an_unconverged_run_is_reported_not_dropped(problem: SegmentProblem) -> None:
     short = PAPER.changed("classical", iterations_max=1)
     found = identify_segments([problem], "classical", 3, 0, config=short).segments[0]

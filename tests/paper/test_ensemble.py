@@ -17,7 +17,7 @@ from segments import PAPER
 
 from dieseltwin.engine import HEALTH, Inputs, we2011
 from dieseltwin.errors import InputError
-from dieseltwin.identification.bound import nominal_bound
+from dieseltwin.identification.bound import IDENTIFIABLE_BELOW, nominal_bound
 from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.result import SegmentEstimate
 from dieseltwin.paper.evaluation.ensembles import (
@@ -92,7 +92,8 @@ def members_of(problem: SegmentProblem, initial: NDArray[np.float64], converged:
     values = np.where(finite[:, None], we2011.FIELD.health(), np.nan)
     return SegmentEstimate(
         problem.t0_s, problem.t1_s, problem.time_s, values, nothing, np.stack([nothing, nothing], -1),
-        states[used].mean(axis=0), bound.absolute, bound.identifiable(), converged, 0.1, "few-shot-adam",
+        states[used].mean(axis=0), bound.absolute, bound.identifiable(IDENTIFIABLE_BELOW), converged, 0.1,
+        "few-shot-adam",
         state_samples=states[used], parameter_samples=values[used],
     )  # fmt: skip
 

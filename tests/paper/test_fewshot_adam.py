@@ -10,6 +10,7 @@ import torch
 from segments import PAPER
 
 from dieseltwin.engine import HEALTH, Inputs, actuate, we2011
+from dieseltwin.identification.bound import IDENTIFIABLE_BELOW
 from dieseltwin.identification.few_shot.residuals import PhysicsResiduals
 from dieseltwin.identification.identify import identify_segments
 from dieseltwin.identification.problem import SegmentProblem
@@ -196,7 +197,7 @@ def test_converged_is_an_estimate_that_stands_still(pair: list[SegmentProblem], 
     states, loss = np.tile(pair[0].first_states()[0], (2, 3, 1)), np.ones((2, points))
     final = health[:, -20:].mean(axis=1)
     trained = Trained(health, final, states, loss, np.ones(2), np.zeros((2, points)))
-    found = estimate_of(pair[0], trained, share, 0.0, 1000)
+    found = estimate_of(pair[0], trained, share, 0.0, 1000, identifiable_below=IDENTIFIABLE_BELOW)
     assert found.converged.tolist() == [settled, settled]
     np.testing.assert_array_equal(found.parameters, final)
 

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from dieseltwin.engine import HEALTH, MEASURED, Inputs, actuate, simulate, we2011
 from dieseltwin.errors import InputError
+from dieseltwin.identification.bound import IDENTIFIABLE_BELOW
 from dieseltwin.identification.identify import identify_segments
 from dieseltwin.identification.problem import NoiseLevels, SegmentProblem
 from dieseltwin.identification.unknowns import to_masked, to_physical
@@ -182,7 +183,7 @@ def test_a_diverged_run_is_reported_and_leaves_the_others_alone(problems: list[S
     source.weights[0] = float("nan")
     found = pinn.train_lanes(lanes, None, None, settings, (source.weights, source.masked))
     np.testing.assert_allclose(found.trained.health[1], good.trained.health[1], rtol=1e-5)
-    (estimate,) = pinn.estimates_of(problems[:1], found, 2, 0.0, "multi-stage", 0.1)
+    (estimate,) = pinn.estimates_of(problems[:1], found, 2, 0.0, "multi-stage", 0.1, IDENTIFIABLE_BELOW)
     assert estimate.runs == 2 and not estimate.converged[0]
     assert np.isfinite(estimate.states).all() and np.isfinite(estimate.bound).all()
 

@@ -46,7 +46,7 @@ def estimate(problems, runs, seed, *, config, **learned):
             SegmentEstimate(
                 problem.t0_s, problem.t1_s, problem.time_s, values, spread * values,
                 np.stack([values * (1 - spread), values * (1 + spread)], axis=-1), states, bound.absolute,
-                bound.identifiable(), np.ones(runs, dtype=bool), 0.0, "nominal-values",
+                bound.identifiable(config.identifiable_bound_rel), np.ones(runs, dtype=bool), 0.0, "nominal-values",
             )
         )
     return found

@@ -87,13 +87,14 @@ def estimate(
         inverse Hessian and are never below the Cramér-Rao bound.
     """
     settings, start = cast(NewtonConfig, config.of(METHOD)), config.start
+    below = config.identifiable_bound_rel
     rng = np.random.default_rng(seed)
     results = []
     for problem in problems:
         began = time.perf_counter()
         centre = start_centre(problem.parameters, problem.truth, start.at)
         begin = np.log(starts(centre, runs, rng, start.sd_masked))
-        results.append(_segment(problem, begin, bodies, operators, maps, settings, began))
+        results.append(_segment(problem, begin, bodies, operators, maps, settings, began, below))
     return results
 
 
@@ -250,7 +251,7 @@ def _log_std(collocation: Collocation, state: Runs) -> Tensor:
 def _segment(
     problem: SegmentProblem, begin: NDArray[np.float64], bodies: Bodies | None, operators: ActuatorOperators | None,
     maps: EmpiricalMaps | None,
-    settings: NewtonConfig, began: float,
+    settings: NewtonConfig, began: float, below: float,
 ) -> SegmentEstimate:  # fmt: skip
     setting = prepare(problem, bodies, operators)
     readings = torch.tensor(problem.readings(len(begin)))
@@ -275,14 +276,14 @@ def _segment(
     used = converged if converged.any() else np.ones_like(converged)
     pooled_states = states[used].mean(axis=0)
     pooled = np.exp(np.log(health[used]).mean(axis=0))
-    bound = cautious_bound([problem], pooled, pooled_states[0, :3])[0]
+    bound = cautious_bound([problem], pooled, pooled_states[0, :3], below)[0]
     std, interval = intervals_from_log_std(health, np.maximum(log_std, bound.relative))
     normal = np.random.default_rng(0).standard_normal((STATE_SAMPLES, N_HEALTH + 3))
     bands = (None, None) if maps is not None else states_within(problem, pooled, pooled_states[0, :3], bound, normal)
     misfit /= max(int(problem.observed.sum()) - N_HEALTH - 3, 1)
     return SegmentEstimate(
         t0_s=problem.t0_s, t1_s=problem.t1_s, time_s=problem.time_s, parameters=health, std=std, interval_90=interval,
-        states=pooled_states, bound=bound.absolute, identifiable=bound.identifiable(), converged=converged,
+        states=pooled_states, bound=bound.absolute, identifiable=bound.identifiable(below), converged=converged,
         seconds_per_run=(time.perf_counter() - began) / len(begin), method=METHOD, chi2_per_sample=misfit,
         state_samples=bands[0], parameter_samples=bands[1],
     )  # fmt: skip

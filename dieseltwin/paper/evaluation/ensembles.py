@@ -183,7 +183,7 @@ def merged(parts: Sequence[SegmentEstimate], problem: SegmentProblem) -> Segment
         **{name: joined(name, kept) for name in ("state_samples", "parameter_samples")},
         states=states,
         bound=bound.absolute,
-        identifiable=bound.identifiable(),
+        identifiable=bound.identifiable(IDENTIFIABLE_BELOW),
         seconds_per_run=float(np.average([part.seconds_per_run for part in parts], weights=runs)),
         curves=curves,
     )

@@ -57,6 +57,7 @@ def estimate(
         began = time.perf_counter()
         lanes = make_lanes(problems, group, runs, seed, config.start)
         found = train_lanes(lanes, operators, maps, settings)
-        made = estimates_of([problems[i] for i in group], found, runs, began, METHOD, settings.average_share)
+        share, below = settings.average_share, config.identifiable_bound_rel
+        made = estimates_of([problems[i] for i in group], found, runs, began, METHOD, share, below)
         results |= dict(zip(group, made, strict=True))
     return [results[i] for i in range(len(problems))]

@@ -101,6 +101,7 @@ def estimate(
                 settings.average_share,
                 seconds,
                 settings.epochs,
+                identifiable_below=config.identifiable_bound_rel,
                 early_stopping=settings.held_out_share > 0.0,
             )
     return [results[i] for i in range(len(problems))]
@@ -228,6 +229,7 @@ def estimate_of(
     seconds: float,
     epochs: int = 0,
     *,
+    identifiable_below: float,
     early_stopping: bool = False,
 ) -> SegmentEstimate:
     """The runs of one segment as an estimate (also of the baseline and the multi-stage method).
@@ -239,6 +241,7 @@ def estimate_of(
         average_share: share of the epochs behind `found.final`.
         seconds: wall seconds per run.
         epochs: trained.
+        identifiable_below: largest relative bound that counts as identifiable [-].
         early_stopping: a run's parameters are those where the misfit of the readings that no loss saw is least, and a
             choice before the last epoch counts as converged.
     """
@@ -260,7 +263,7 @@ def estimate_of(
     return SegmentEstimate(
         t0_s=problem.t0_s, t1_s=problem.t1_s, time_s=problem.time_s, parameters=final, std=nothing,
         interval_90=np.stack([nothing, nothing], -1), states=pooled_states, bound=bound.absolute,
-        identifiable=bound.identifiable(), converged=still, seconds_per_run=seconds, method=METHOD,
+        identifiable=bound.identifiable(identifiable_below), converged=still, seconds_per_run=seconds, method=METHOD,
         chi2_per_sample=found.misfit, state_samples=states[used], parameter_samples=final[used],
         curves={
             "epoch": np.linspace(0, epochs, loss.shape[1]).round(), "loss": loss.T,

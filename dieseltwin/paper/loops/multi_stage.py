@@ -61,7 +61,8 @@ def estimate(
     of_first = settings_of(config, baseline.METHOD)
     began = time.perf_counter()
     source = train_lanes(make_lanes(problems, [0], runs, seed, config.start), operators, maps, of_first)
-    first = estimates_of(problems[:1], source, runs, began, METHOD, of_first.average_share)
+    below = config.identifiable_bound_rel
+    first = estimates_of(problems[:1], source, runs, began, METHOD, of_first.average_share, below)
     return first + later_segments(problems, source_models(source, runs), runs, seed, config, operators, maps)
 
 
@@ -96,7 +97,8 @@ def later_segments(
         lanes = make_lanes(problems, group, runs, seed, config.start, first_run)
         sources = (taken[0].repeat(len(group), 1), taken[1].repeat(len(group), 1))
         found = train_lanes(lanes, operators, maps, settings, sources)
-        made = estimates_of([problems[i] for i in group], found, runs, began, METHOD, settings.average_share)
+        share, below = settings.average_share, config.identifiable_bound_rel
+        made = estimates_of([problems[i] for i in group], found, runs, began, METHOD, share, below)
         results |= dict(zip(group, made, strict=True))
     return [results[i] for i in range(1, len(problems))]
 

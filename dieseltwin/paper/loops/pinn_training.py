@@ -281,6 +281,7 @@ def estimates_of(
     began: float,
     method: str,
     average_share: float,
+    identifiable_below: float,
 ) -> list[SegmentEstimate]:
     """Estimates of segments whose runs follow each other in `found`.
 
@@ -291,6 +292,7 @@ def estimates_of(
         began: `time.perf_counter()` when the work began [s].
         method: name of the method.
         average_share: of the training.
+        identifiable_below: largest relative bound that counts as identifiable [-].
 
     Returns:
         One estimate for each segment, with curves: total loss and parameters of each run, the other losses over runs.
@@ -300,7 +302,9 @@ def estimates_of(
     for row, problem in enumerate(problems):
         of = slice(row * runs, (row + 1) * runs)
         t = found.trained
-        one = estimate_of(problem, t.lanes(of), average_share, seconds, int(found.epochs[-1]))
+        one = estimate_of(
+            problem, t.lanes(of), average_share, seconds, int(found.epochs[-1]), identifiable_below=identifiable_below
+        )
         curves = {"epoch": found.epochs.astype(np.float64), "loss": t.loss[of].T}
         curves |= {name: t.health[of, :, i].T for i, name in enumerate(HEALTH)}
         curves |= {name: values[of].mean(axis=0) for name, values in found.terms.items()}
