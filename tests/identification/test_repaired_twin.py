@@ -42,6 +42,18 @@ def test_terms_take_the_bias_away(hurt: SegmentProblem, method: str) -> None:
     assert after.max() < 0.01 and after.max() < before.max() / 10.0
 
 
+@pytest.mark.parametrize("method", ["classical", "few-shot-newton"])
+def test_an_engine_with_a_flap_is_identified(
+    simulated: Callable[..., SegmentProblem], drive: Callable[..., Inputs], method: str
+) -> None:
+    inputs = drive(300, 101)
+    position = 55.0 + 20.0 * np.sin(0.5 * inputs.time_s)
+    terms = (Term(effect="exhaust_flap", magnitude=1e5),)
+    truth = we2011.FIELD.replace(terms=terms)
+    problem = simulated(replace(inputs, u_flap_pct=position), truth, noise_seed=None)
+    assert _errors(problem, method, terms).max() < 0.05
+
+
 def test_the_networks_program_holds_the_terms(hurt: SegmentProblem) -> None:
     """Rates of few-shot Adam's program (and so the PINN's) at the same states, with and without the terms."""
     rates = []

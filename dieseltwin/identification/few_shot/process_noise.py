@@ -13,7 +13,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from dieseltwin.engine import HEALTH, Actuation, EngineParameters, parameter_batch, settle, simulate_states
+from dieseltwin.engine import HEALTH, Actuation, EngineParameters, parameter_batch, simulate_states
+from dieseltwin.engine.simulate import settle_first
 from dieseltwin.identification.few_shot.defects import Defects, Windows, defects_of, simulate_windows
 from dieseltwin.identification.few_shot.heads import Heads, Trajectory
 from dieseltwin.identification.few_shot.residuals import DrivenInputs, PointModel
@@ -70,11 +71,7 @@ class ProcessNoise:
 
 def laboratory_states(actuation: Actuation, parameters: EngineParameters) -> Tensor:
     """Clean states of the laboratory engine over a segment's inputs, at rest at its first sample; (1, n, 3)."""
-    inputs = actuation.inputs
-    row = inputs.n_history
-    initial = settle(
-        inputs.n_e_rpm[row], inputs.u_delta_mg[row], inputs.u_egr_pct[row], inputs.u_vgt_pct[row], parameters
-    )
+    initial = settle_first(actuation.inputs, parameters)
     states = simulate_states(actuation, parameter_batch(parameters), initial).states[..., :3]
     return torch.from_numpy(np.ascontiguousarray(states))
 
