@@ -11,19 +11,20 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from dieseltwin.errors import InputError
+from dieseltwin.petrol.blocks import BLOCK_S, Blocks, Grid, blocks_of, make_grid
 from dieseltwin.petrol.discover import judge
 from dieseltwin.petrol.effects import undo_all
 from dieseltwin.petrol.maps import BEND, FREEDOM, normal_equations, sum_roughness, tensor_roughness
 from dieseltwin.petrol.model import (
-    ALPHA_SHIFT,
     at_rest,
     cylinder_basis,
+    opening,
     scale_of,
     throttle_basis,
     unsteadiness,
 )
 from dieseltwin.petrol.parameters import FILLED, FaultFreePiece, PetrolParameters, SplineMap, Spread, Volumes
-from dieseltwin.petrol.recording import Blocks, Grid, Signals, blocks_of, make_grid
+from dieseltwin.petrol.recording import Signals
 
 Array = NDArray[np.float64]
 Bool = NDArray[np.bool_]
@@ -41,6 +42,7 @@ PASSES = 2  # of clocks, volumes and then those
 REWEIGHTINGS = 8
 PIECE_S = 300.0  # of the pieces that are judged with maps that did not see them
 LEAST_DURATION_S = 600.0
+LEAST_RANGE = 1e-3  # of a map's argument over its size [-]: knots are kept to six digits
 LEAST_BOOST_SCALE, LEAST_SCALE = 1e-3, 4e-3  # of the boost balance: resolution, a compressor that runs down; others [-]
 
 
@@ -81,8 +83,13 @@ def _six(values: Array) -> tuple[float, ...]:
     return tuple(float(f"{v:.6g}") for v in values)
 
 
-def _knots(x: Array, count: int, margin: float) -> Array:
+def _knots(column: str, x: Array, count: int, margin: float) -> Array:
+    """`count` knots over the range of a map's argument (n,), and `margin` of it beyond either end."""
     low, high = float(x.min()), float(x.max())
+    if not high - low > LEAST_RANGE * max(abs(low), abs(high)):
+        raise InputError(f"calibration: column {column}", "the same reading all the time",
+                         "one that follows the driving",
+                         "record driving in which speed, load and throttle change, or mend this channel")
     return np.linspace(low - margin * (high - low), high + margin * (high - low), count)
 
 
@@ -97,10 +104,12 @@ class _Balance:
 def _tables(b: Blocks, kept: Bool, like: Mapping[str, _Balance] | None = None) -> dict[str, _Balance]:
     """What each flow balance is fitted from; with the knots of other tables, if given."""
     speed, pressure = b.omega_e[kept], np.log(b.p_im[kept])
-    cyl_knots = (_knots(speed, CYLINDER_KNOTS[0], 0.05), _knots(pressure, CYLINDER_KNOTS[1], 0.05))
-    opening = np.log(b.alpha[kept] + ALPHA_SHIFT)
-    th_knots = (_knots(opening, THROTTLE_KNOTS[0], 0.02), np.linspace(0.0, 0.69, THROTTLE_KNOTS[1]))
-    if like is not None:
+    if like is None:
+        cyl_knots = (_knots("omega_e_rad_s", speed, CYLINDER_KNOTS[0], 0.05),
+                     _knots("p_im_pa", pressure, CYLINDER_KNOTS[1], 0.05))  # fmt: skip
+        th_knots = (_knots("alpha_th_pct", opening(b.alpha[kept]), THROTTLE_KNOTS[0], 0.02),
+                    np.linspace(0.0, 0.69, THROTTLE_KNOTS[1]))  # fmt: skip
+    else:
         cyl_knots, th_knots = like["cylinder"].knots, like["throttle"].knots
     shell = SplineMap(knots_x=(), knots_y=(), coefficients=(), covariance_factor=())
     cyl = cylinder_basis(b, shell.model_copy(update={"knots_x": tuple(cyl_knots[0]), "knots_y": tuple(cyl_knots[1])}))
@@ -253,15 +262,20 @@ def _robust_std(x: Array) -> float:
     return float(1.4826 * np.median(np.abs(x - np.median(x)))) if len(x) else float("nan")
 
 
-def pieces(duration_s: float) -> list[tuple[float, float]]:
-    """Spans of `PIECE_S` [s]; a rest shorter than half a piece goes to the last one."""
-    count = max(round(duration_s / PIECE_S), 1)
-    edges = [k * PIECE_S for k in range(count)] + [duration_s + 1.0]
+def pieces(grid: Grid) -> list[tuple[float, float]]:
+    """Spans that hold `PIECE_S` of blocks each, whatever pauses lie between them [s]; a rest shorter than half a piece
+    goes to the last one."""
+    begins = grid.mid_s - 0.5 * BLOCK_S
+    a_piece = round(PIECE_S / BLOCK_S)
+    count = max(round(len(begins) / a_piece), 1)
+    edges = [*begins[: count * a_piece : a_piece].tolist(), float(begins[-1]) + 2.0 * BLOCK_S]
     return list(pairwise(edges))
 
 
 def calibrate(signals: Signals, base: PetrolParameters, sha256: str) -> tuple[PetrolParameters, list[SubmodelFit]]:
     """Calibrate, then judge pieces of the recording with maps that did not see them: an alarm there is a false one.
+
+    A piece that can't be judged, as nothing else idles or goes as far, is left out.
 
     Returns:
         the engine, with those pieces; the fit of each balance on held-out stretches.
@@ -269,16 +283,20 @@ def calibrate(signals: Signals, base: PetrolParameters, sha256: str) -> tuple[Pe
     Raises:
         InputError: a recording of less than ten minutes, or without idling.
     """
-    duration = float(signals.time_s[-1])
-    if duration < LEAST_DURATION_S:
-        raise InputError("calibration", f"{duration:.0f} s", f"at least {LEAST_DURATION_S:.0f} s", "record longer")
+    grid = make_grid(signals.time_s)
+    driven_s, end_s = len(grid.mid_s) * BLOCK_S, float(signals.time_s[-1])
+    if driven_s < LEAST_DURATION_S:
+        raise InputError("calibration", f"{driven_s:.0f} s", f"at least {LEAST_DURATION_S:.0f} s", "record longer")
     engine, fits = fit_maps(signals, base)
     judged = []
-    for span in pieces(duration):
-        rest, _ = fit_maps(signals, base, without=span)
-        _, found = judge(rest, signals.part(*span))
+    for span in pieces(grid):
+        try:
+            rest, _ = fit_maps(signals, base, without=span)
+            _, found = judge(rest, signals.part(*span))
+        except InputError:
+            continue
         best = max([(found.gain(fit), fit.candidate.names[0]) for fit in found.singles[:1]]
                    + [(v.gain, v.name) for v in found.scanned[:1]], default=(0.0, "none"))
-        judged.append(FaultFreePiece(start_s=span[0], end_s=min(span[1], duration), gain=max(best[0], 0.0),
+        judged.append(FaultFreePiece(start_s=span[0], end_s=min(span[1], end_s), gain=max(best[0], 0.0),
                                      name=best[1], alarm=found.kind != "healthy"))
     return engine.model_copy(update={"pieces": tuple(judged), "calibrated_on": sha256}), fits

@@ -38,9 +38,10 @@ from dieseltwin.discovery.verdict.explained import explained_at
 from dieseltwin.discovery.verdict.findings import effects, finite, ranked_location, site_probabilities
 from dieseltwin.discovery.verdict.reasons import candidate_rows
 from dieseltwin.notes import Note
+from dieseltwin.petrol.blocks import BLOCK_S
 from dieseltwin.petrol.effects import LOG_PRIOR, NEEDS
 from dieseltwin.petrol.parameters import PetrolParameters, PetrolTerm
-from dieseltwin.petrol.recording import BLOCK_S, COLUMNS, PetrolRecording, Signals
+from dieseltwin.petrol.recording import COLUMNS, PetrolRecording, Signals
 from dieseltwin.petrol.renewal import alike, leading, over_time
 from dieseltwin.petrol.sentence import found_words, sentence
 from dieseltwin.petrol.terms import without_terms

@@ -14,9 +14,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from dieseltwin.petrol.blocks import BLOCK_S, Blocks, Grid
 from dieseltwin.petrol.maps import beyond, sum_basis, tensor_basis, tensor_value
 from dieseltwin.petrol.parameters import SplineMap, Spread
-from dieseltwin.petrol.recording import BLOCK_S, Blocks, Grid, Signals
+from dieseltwin.petrol.recording import Signals
 
 Array = NDArray[np.float64]
 
@@ -38,19 +39,19 @@ def log_efficiency(b: Blocks, m: SplineMap) -> Array:
     return tensor_value(b.omega_e, np.log(b.p_im), np.array(m.knots_x), np.array(m.knots_y), np.array(m.coefficients))
 
 
-def opening(b: Blocks, shift_pct: float = 0.0) -> Array:
-    """(m,) log(alpha + 1) of a throttle that is `shift_pct` further open [-]."""
-    return np.asarray(np.log(np.maximum(b.alpha + shift_pct, -0.5 * ALPHA_SHIFT) + ALPHA_SHIFT))
+def opening(alpha: Array) -> Array:
+    """(m,) log(alpha + 1) of throttle positions alpha [%]; a reading far below 0 is taken for shut [-]."""
+    return np.asarray(np.log(np.maximum(alpha, -0.5 * ALPHA_SHIFT) + ALPHA_SHIFT))
 
 
 def throttle_basis(b: Blocks, m: SplineMap, shift_pct: float = 0.0) -> Array:
     """Basis of the log area over log(alpha + 1) and Psi."""
-    return sum_basis(opening(b, shift_pct), b.psi, np.array(m.knots_x), np.array(m.knots_y))
+    return sum_basis(opening(b.alpha + shift_pct), b.psi, np.array(m.knots_x), np.array(m.knots_y))
 
 
 def outside(b: Blocks, cylinder: SplineMap, throttle: SplineMap) -> dict[str, tuple[Array, ...]]:
     """Flow balance -> (m,) how far each argument of its map lies beyond what was learned [steps of the knots]."""
-    arguments = {"cylinder": (cylinder, b.omega_e, np.log(b.p_im)), "throttle": (throttle, opening(b), b.psi)}
+    arguments = {"cylinder": (cylinder, b.omega_e, np.log(b.p_im)), "throttle": (throttle, opening(b.alpha), b.psi)}
     return {
         name: (beyond(x, np.array(m.knots_x)), beyond(y, np.array(m.knots_y))) for name, (m, x, y) in arguments.items()
     }

@@ -12,7 +12,7 @@ from pydantic import Field, NonNegativeFloat, model_validator
 
 from dieseltwin.atomic import write_text
 from dieseltwin.errors import InputError
-from dieseltwin.petrol.recording import Geometry
+from dieseltwin.petrol.blocks import Geometry
 from dieseltwin.sealed import sealed_text
 from dieseltwin.settings.strict import StrictModel, read_mapping, validate, where_told
 

@@ -1,13 +1,9 @@
-"""Recordings of a petrol engine's air path: strict reader, and means over blocks of a second.
-
-A balance is integrated over a block: the mean flows in and out differ by the filling, which is the difference of the
-pressures at the block's ends over its length. So time stamps are used as they are and nothing is differentiated.
-"""
+"""Recordings of a petrol engine's air path: strict reader, pooled references, pieces between gaps."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
@@ -17,26 +13,24 @@ from numpy.typing import NDArray
 
 from dieseltwin.errors import InputError
 from dieseltwin.notes import Note
-from dieseltwin.petrol.components import R_A, displaced_flow, nozzle_flow, storage_flow
+from dieseltwin.petrol.components import RPM
 from dieseltwin.recordings.channels import ChannelMap
 from dieseltwin.recordings.derived import STAND_IN_PA
-from dieseltwin.recordings.named_columns import Imported, columns_sha256, named_columns
+from dieseltwin.recordings.named_columns import Imported, columns_sha256, named_columns, numbers
 from dieseltwin.recordings.plausibility import FRACTION, as_fraction
+from dieseltwin.recordings.reader import CRANKING_RPM
 from dieseltwin.recordings.shared_rows import distinct, refuse_overlapping, share_known
 from dieseltwin.settings.strict import listed
 
 Array = NDArray[np.float64]
 
-BLOCK_S = 1.0
-EDGE_ROWS = 6  # rows averaged for a block's end pressure: the manifold pulsates by 5 % at idle
-FULLEST_HOLE = 0.5  # blocks with fewer than this part of the usual rows are left out
 GAP_S = 0.9  # a longer step of the time stamps ends one piece and begins another: no block is without rows then
 APART_S = 10.0  # between recordings that are pooled: a gap
 FEW_LEFT_OUT = 0.01  # of the rows: fewer that lack a reading aren't worth a word
 COARSEST_STEP_S = 0.25  # of the rows: the filling of the volumes is read from pressures at a block's ends
 FEWEST_BLOCKS = 60
-LEAST_FACTOR = 0.05  # that a signal at a map may leave of it [-]
-LEAST_FLOW = 1e-4  # kg/s, a twentieth of idle: keeps logarithms finite in overrun transients
+RUNNING_RAD_S = CRANKING_RPM / RPM  # below it the engine stands or is cranked, and no balance holds
+LEAST_PRESSURE_PA = 5e3  # an engine in overrun draws 15 kPa; less is a sensor that has dropped out
 # column -> (range of the median, unit)
 COLUMNS: Mapping[str, tuple[float, float, str]] = {
     "p_ic_pa": (3e4, 5e5, "Pa"),
@@ -129,34 +123,62 @@ def read_petrol(
     for column in absent:
         if column not in table:
             table[column] = np.full(len(table["time_s"]), SURROUNDINGS[column])
-    values = {}
-    for column in ("time_s", *COLUMNS):
-        values[column] = np.asarray(pd.to_numeric(pd.Series(table[column]), errors="coerce"), dtype=np.float64)
-    good = np.all([np.isfinite(v) for v in values.values()], axis=0)
-    if good.sum() < FEWEST_BLOCKS:
-        raise InputError(path, f"{int(good.sum())} complete rows", f"at least {FEWEST_BLOCKS} s", "record longer")
-    notes = (*read_notes, *_left_out(values, good))
-    values = {k: v[good] for k, v in values.items()}
-    time = values.pop("time_s")
-    if np.any(np.diff(time) <= 0.0):
-        row = int(np.argmax(np.diff(time) <= 0.0)) + 2
-        raise InputError(f"{path}: time_s", f"no rise at data row {row}", "strictly rising time", "sort the rows")
-    step = float(np.median(np.diff(time)))
-    if step > COARSEST_STEP_S:
-        raise InputError(f"{path}: time_s", f"a row every {step:.3g} s", f"one every {COARSEST_STEP_S:g} s at least",
-                         "record faster")
+    values = {column: numbers(column, table[column], path, needed=True) for column in ("time_s", *COLUMNS)}
+    complete = np.all([np.isfinite(v) for v in values.values()], axis=0)
+    if complete.sum() < 2:
+        lacking = max(values, key=lambda column: int(np.isnan(values[column]).sum()))
+        raise InputError(f"{path}: column {lacking}", f"{int(np.isfinite(values[lacking]).sum())} numbers, and "
+                         f"{int(complete.sum())} complete rows", "a number in every column of most rows",
+                         "record this column, or mend it")  # fmt: skip
+    notes = [*read_notes, *_left_out(values, complete)]
+    _check_time(values["time_s"], complete, path)
     for column, (low, high, unit) in COLUMNS.items():
-        middle = float(np.median(values[column]))
+        middle = float(np.median(values[column][complete]))
         if not low <= middle <= high:
             raise InputError(f"{path}: column {column}", f"median {middle:.4g}", f"{low:g} to {high:g} {unit}",
                              f"convert to {unit}")
-    if (widest := float(values["alpha_th_pct"].max())) <= FRACTION:
+    if (widest := float(values["alpha_th_pct"][complete].max())) <= FRACTION:
         raise as_fraction("alpha_th_pct", widest, path)
-    if time[-1] - time[0] < FEWEST_BLOCKS:
-        raise InputError(path, f"{time[-1] - time[0]:.0f} s", f"at least {FEWEST_BLOCKS} s", "record longer")
+    possible, said = _possible(values, complete)
+    notes += said
+    values = {k: v[possible] for k, v in values.items()}
+    time = values.pop("time_s")
+    steps = np.diff(time)
+    driven_s = float(np.sum(steps[steps <= GAP_S]))
+    if driven_s < FEWEST_BLOCKS:
+        raise InputError(path, f"{driven_s:.0f} s of a running engine", f"at least {FEWEST_BLOCKS} s", "record longer")
     signals = Signals(time - time[0], values["p_ic_pa"], values["t_ic_k"], values["p_im_pa"], values["w_af_kg_s"],
                       values["omega_e_rad_s"], values["alpha_th_pct"], values["p_amb_pa"], values["t_amb_k"])
-    return PetrolRecording(signals, float(time[0]), path, sha256, recorded, notes)
+    return PetrolRecording(signals, float(time[0]), path, sha256, recorded, tuple(notes))
+
+
+def _check_time(time_s: Array, complete: NDArray[np.bool_], path: str) -> None:
+    """Refuse complete rows (n,) whose time doesn't rise, or that are too far apart."""
+    rows = np.flatnonzero(complete)
+    steps = np.diff(time_s[rows])
+    if np.any(steps <= 0.0):
+        row = int(rows[1:][steps <= 0.0][0]) + 1
+        raise InputError(f"{path}: time_s", f"no rise at data row {row}", "strictly rising time", "sort the rows")
+    step = float(np.median(steps))
+    if step > COARSEST_STEP_S:
+        raise InputError(f"{path}: time_s", f"a row every {step:.3g} s", f"one every {COARSEST_STEP_S:g} s at least",
+                         "record faster")  # fmt: skip
+
+
+def _possible(values: Mapping[str, Array], complete: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], list[Note]]:
+    """(n,) the complete rows in which the engine runs and no pressure sensor has dropped out; what is left out."""
+    possible, notes = complete.copy(), []
+    for column in (name for name in COLUMNS if name.endswith("_pa")):
+        dropped = complete & (values[column] < LEAST_PRESSURE_PA)
+        if dropped.any():
+            notes.append(Note(f"{int(dropped.sum())} rows left out, in which {column} reads less than "
+                              f"{LEAST_PRESSURE_PA:g} Pa", "left_out", (column,)))  # fmt: skip
+        possible &= ~dropped
+    standing = complete & (values["omega_e_rad_s"] < RUNNING_RAD_S)
+    if standing.any():
+        notes.append(Note(f"{int(standing.sum())} rows left out, in which the engine runs at less than "
+                          f"{CRANKING_RPM:g} rpm", "left_out", ("omega_e_rad_s",)))  # fmt: skip
+    return possible & ~standing, notes
 
 
 def _left_out(values: Mapping[str, Array], good: NDArray[np.bool_]) -> tuple[Note, ...]:
@@ -199,195 +221,6 @@ def rows_of(signals: Signals) -> Array:
     return np.stack([value for name, value in vars(signals).items() if value is not None and name != "time_s"], axis=1)
 
 
-@dataclass(frozen=True)
-class Geometry:
-    """Volumes of the engine: displacement, intake manifold, intercooler with pipes [m3]."""
-
-    V_d: float
-    V_im: float
-    V_ic: float
-
-
-@dataclass(frozen=True)
-class Grid:
-    """Blocks of a recording: which rows belong to which, fixed under every hypothesis. No block reaches over a gap.
-
-    Attributes:
-        index: (n,) block of each row.
-        count: (m,) rows of each block.
-        kept: (m,) bool, blocks full enough; the last one of a piece is seldom full.
-        low, high: (m, 2) range of rows about each block's begin and end, for its end values.
-        lasted_s: (m,) time between the rows nearest to a block's ends [s].
-        mid_s: (m,) middle of each block [s].
-        piece: (m,) number of the piece between gaps.
-    """
-
-    index: NDArray[np.int64]
-    count: Array
-    kept: NDArray[np.bool_]
-    low: NDArray[np.int64]
-    high: NDArray[np.int64]
-    lasted_s: Array
-    mid_s: Array
-    piece: NDArray[np.int64]
-
-    def mean(self, x: Array) -> Array:
-        """(m,) mean of x over each block."""
-        return np.asarray(np.bincount(self.index, x, minlength=len(self.count)) / self.count)
-
-    def slope(self, x: Array) -> Array:
-        """(m,) difference of x (smoothed over EDGE_ROWS rows) between a block's ends over their time [unit/s]."""
-        total = np.concatenate([[0.0], np.cumsum(x)])
-        at = (total[self.high] - total[self.low]) / (self.high - self.low)
-        return np.asarray((at[:, 1] - at[:, 0]) / self.lasted_s)
-
-
 def gaps(time_s: Array) -> NDArray[np.int64]:
     """First row of every piece between gaps of more than GAP_S, ascending, the first 0."""
     return np.concatenate([[0], np.flatnonzero(np.diff(time_s) > GAP_S) + 1]).astype(np.int64)
-
-
-def make_grid(time_s: Array) -> Grid:
-    """Blocks of BLOCK_S over the rows at `time_s`, anew in every piece between gaps."""
-    half, n = EDGE_ROWS // 2, len(time_s)
-    index = np.empty(n, dtype=np.int64)
-    parts: list[tuple[NDArray[np.int64], Array, Array, NDArray[np.bool_]]] = []  # edges (rows), span, middle, last
-    at = 0
-    low, high, piece = [], [], []
-    starts = gaps(time_s)
-    for number, (a, b) in enumerate(zip(starts, np.append(starts[1:], n), strict=True)):
-        own = time_s[a:b] - time_s[a]
-        blocks = np.floor(own / BLOCK_S).astype(np.int64)
-        size = int(blocks[-1]) + 1
-        index[a:b] = at + blocks
-        edges = a + np.searchsorted(own, np.arange(size + 1) * BLOCK_S).clip(0, b - a - 1)
-        ends = np.stack([edges[:-1], edges[1:]], axis=1)
-        low.append(np.maximum(ends - half, a))
-        high.append(np.minimum(ends + half, b))
-        middle = time_s[a] + (np.arange(size, dtype=np.float64) + 0.5) * BLOCK_S
-        lasted = np.maximum(np.diff(time_s[edges]), 0.5 * BLOCK_S)
-        parts.append((edges, lasted, middle, np.arange(size) < size - 1))
-        piece.append(np.full(size, number))
-        at += size
-    count = np.bincount(index, minlength=at).astype(np.float64)
-    usual = float(np.median(count[count > 0]))
-    kept = (count >= FULLEST_HOLE * usual) & np.concatenate([part[3] for part in parts])
-    return Grid(
-        index, np.maximum(count, 1.0), kept, np.concatenate(low), np.concatenate(high),
-        np.concatenate([part[1] for part in parts]), np.concatenate([part[2] for part in parts]),
-        np.concatenate(piece),
-    )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Blocks:
-    """What the balances need over m blocks [SI]; see `Signals` for the symbols.
-
-    Attributes:
-        mid_s: middle of each block [s].
-        omega_e, p_im, p_ic, alpha, W_af, p_amb, T_ic, T_amb: means.
-        psi: flow factor of the throttle [-].
-        W_d: flow that the cylinders would take at a volumetric efficiency of 1 [kg/s].
-        unit_flow: flow through a throttle of 1 m2 [kg/s].
-        before_throttle: air that is metered but doesn't pass the throttle: filling and leaks before it [kg/s].
-        before_cylinders: air that is metered but isn't taken in: filling and leaks of both volumes [kg/s].
-        log_eta, log_area: logarithm of what an effect multiplies both maps by [-].
-    """
-
-    mid_s: Array
-    omega_e: Array
-    p_im: Array
-    p_ic: Array
-    alpha: Array
-    W_af: Array
-    p_amb: Array
-    T_ic: Array
-    T_amb: Array
-    psi: Array
-    W_d: Array
-    unit_flow: Array
-    before_throttle: Array
-    before_cylinders: Array
-    log_eta: Array
-    log_area: Array
-
-    def cylinder(self, W_af: Array) -> Array:
-        """Log of the cylinders' flow over the displaced one, log eta_vol [-], were `W_af` [kg/s] metered."""
-        return np.asarray(np.log(np.maximum(W_af - self.before_cylinders, LEAST_FLOW) / self.W_d) - self.log_eta)
-
-    def throttle(self, W_af: Array) -> Array:
-        """Log of the throttle's flow over that of 1 m2, log area [m2], were `W_af` [kg/s] metered."""
-        return np.asarray(np.log(np.maximum(W_af - self.before_throttle, LEAST_FLOW) / self.unit_flow) - self.log_area)
-
-    @property
-    def boost(self) -> Array:
-        """log(p_ic/p_amb) [-]."""
-        return np.asarray(np.log(self.p_ic / self.p_amb))
-
-    @property
-    def cooler(self) -> Array:
-        """log(T_ic/T_amb) [-]."""
-        return np.asarray(np.log(self.T_ic / self.T_amb))
-
-
-class Once:
-    """What is worked out of a recording's own arrays, and of what came of them, is worked out once.
-
-    An effect changes a channel or two, and hundreds of hypotheses share what it leaves. An array is known by being the
-    same object, so none may be changed in place.
-    """
-
-    def __init__(self, own: Iterable[Array | None] = ()) -> None:
-        self._own = {id(x): x for x in own if x is not None}
-        self._known: dict[tuple[object, ...], Array] = {}
-
-    def __call__(self, name: str, work: Callable[[], Array], *of: Array) -> Array:
-        """What `work` gives; the same `name` and the same own arrays `of` that it is made of: as the first time."""
-        if not all(id(x) in self._own for x in of):
-            return work()
-        key = (name, *map(id, of))
-        if key not in self._known:
-            self._known[key] = value = work()
-            self._own[id(value)] = value
-        return self._known[key]
-
-
-def blocks_of(
-    s: Signals, grid: Grid, g: Geometry, added: Mapping[str, Array] | None = None, once: Once | None = None
-) -> Blocks:
-    """Means and flows over each block, with what an effect adds to `s` taken into account.
-
-    Args:
-        s: signals.
-        grid: blocks.
-        g: volumes.
-        added: point of the twin -> (m,) signal that enters there: relative at `eta_vol` and `A_th`, else kg/s.
-        once: what is known of these blocks already.
-    """
-    more, known = added or {}, once or Once()
-    zero = np.zeros(len(grid.count))
-
-    def mean(x: Array) -> Array:
-        return known("mean", lambda: grid.mean(x), x)
-
-    def slope(x: Array) -> Array:
-        return known("slope", lambda: grid.slope(x), x)
-
-    def given(x: Array | None) -> Array:
-        return zero if x is None else mean(x)
-
-    def factor(name: str) -> Array:
-        return np.asarray(np.log1p(np.maximum(more.get(name, zero), LEAST_FACTOR - 1.0)))
-
-    T_ic, p_im, p_ic = mean(s.T_ic), mean(s.p_im), mean(s.p_ic)
-    before = storage_flow(slope(s.p_ic), T_ic, g.V_ic) + given(s.leak_ic) - more.get("intercooler_balance", zero)
-    inside = storage_flow(slope(s.p_im), T_ic, g.V_im) - given(s.leak_im) - more.get("intake_balance", zero)
-    through = (s.p_ic, s.T_ic, s.p_im)
-    unit_flow = known("unit_flow", lambda: np.maximum(grid.mean(nozzle_flow(1.0, *through)), 1.0), *through)
-    psi = known("psi", lambda: np.asarray(unit_flow / (p_ic / np.sqrt(R_A * T_ic))), unit_flow, p_ic, T_ic)
-    omega_e = mean(s.omega_e)
-    return Blocks(
-        grid.mid_s, omega_e, p_im, p_ic, mean(s.alpha), mean(s.W_af), mean(s.p_amb), T_ic, mean(s.T_amb),
-        psi, displaced_flow(p_im, omega_e, T_ic, g.V_d), unit_flow, before,
-        before + inside, given(s.log_eta) + factor("eta_vol"), given(s.log_area) + factor("A_th"),
-    )  # fmt: skip

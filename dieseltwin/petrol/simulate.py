@@ -17,17 +17,18 @@ from numpy.typing import NDArray
 
 from dieseltwin.errors import InputError
 from dieseltwin.inner import kernel
+from dieseltwin.petrol.blocks import LEAST_FLOW
 from dieseltwin.petrol.components import CHOKED_FACTOR, CRITICAL, GAMMA, LINEAR_ABOVE, R_A, displaced_flow, storage_flow
 from dieseltwin.petrol.effects import HYPOTHESES, later, metered, undo_all
-from dieseltwin.petrol.maps import spline_basis, tensor_value
-from dieseltwin.petrol.model import ALPHA_SHIFT
+from dieseltwin.petrol.maps import STRAIGHT, spline_basis, tensor_value
+from dieseltwin.petrol.model import opening
 from dieseltwin.petrol.parameters import PetrolParameters
-from dieseltwin.petrol.recording import LEAST_FLOW, PetrolRecording, Signals, gaps
+from dieseltwin.petrol.recording import PetrolRecording, Signals, gaps
 from dieseltwin.petrol.terms import active_sizes
 
 Array = NDArray[np.float64]
 
-SPEEDS, PRESSURES, FACTORS = 60, 160, 80  # points of the tables that the maps are looked up in
+SPEEDS, PRESSURES, FACTORS = 78, 192, 80  # points of the tables that the maps are looked up in
 LEAST_PRESSURE, ABOVE_P_IC = 5e3, 1.02  # Pa; largest p_im over p_ic [-]: the solution is looked for between
 HALVINGS = 40
 SLOPE_S = 0.35  # over which the filling of the volume before the throttle is taken, as in the balances
@@ -150,11 +151,9 @@ def _inputs(
     none = np.zeros(len(s.time_s))
     knots = np.array(throttle.knots_x)
     theta = np.array(throttle.coefficients)
-    opening = np.log(np.maximum(s.alpha, -0.5 * ALPHA_SHIFT) + ALPHA_SHIFT)
-    log_area = spline_basis(opening, knots) @ theta[: len(knots) + 2]
+    log_area = spline_basis(opening(s.alpha), knots) @ theta[: len(knots) + 2]
     area = np.exp(log_area) * (1.0 + sizes.get("throttle_area_change", none))
-    speeds = np.linspace(cylinder.knots_x[0], cylinder.knots_x[-1], SPEEDS)
-    pressures = np.linspace(cylinder.knots_y[0], cylinder.knots_y[-1], PRESSURES)
+    speeds, pressures = _table_axis(cylinder.knots_x, SPEEDS), _table_axis(cylinder.knots_y, PRESSURES)
     x, y = (grid.ravel() for grid in np.meshgrid(speeds, pressures, indexing="ij"))
     eta = tensor_value(x, y, np.array(cylinder.knots_x), np.array(cylinder.knots_y), np.array(cylinder.coefficients))
     psi = np.linspace(0.0, throttle.knots_y[-1], FACTORS)
@@ -167,6 +166,12 @@ def _inputs(
     )
     return inputs, (eta.reshape(SPEEDS, PRESSURES), float(pressures[0]), float(pressures[1] - pressures[0]), factor,
                     float(psi[1] - psi[0]))  # fmt: skip
+
+
+def _table_axis(knots: tuple[float, ...], points: int) -> Array:
+    """(points,) arguments of a map's table, evenly: as far beyond the knots as the map goes straight on."""
+    first, last = STRAIGHT * (knots[1] - knots[0]), STRAIGHT * (knots[-1] - knots[-2])
+    return np.linspace(knots[0] - first, knots[-1] + last, points)
 
 
 def _rate(x: Array, time_s: Array, starts: NDArray[np.int64]) -> Array:

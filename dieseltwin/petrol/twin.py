@@ -30,6 +30,7 @@ from dieseltwin.discovery.twins.interface import (
 )
 from dieseltwin.errors import InputError
 from dieseltwin.notes import Note
+from dieseltwin.petrol.blocks import Blocks, Once, blocks_of, make_grid
 from dieseltwin.petrol.components import LINEAR_ABOVE
 from dieseltwin.petrol.effects import AIR_FLOW, CLOCKS, HYPOTHESES, NEEDS, metered, undo_all
 from dieseltwin.petrol.jumps import with_jumps
@@ -48,7 +49,7 @@ from dieseltwin.petrol.model import (
     unsteadiness,
 )
 from dieseltwin.petrol.parameters import FILLED, PetrolParameters
-from dieseltwin.petrol.recording import Blocks, Once, Signals, blocks_of, make_grid
+from dieseltwin.petrol.recording import Signals
 from dieseltwin.recordings.noise import Noise, white_sigma
 from dieseltwin.recordings.unread import standstills
 from dieseltwin.settings.names import listed
@@ -290,7 +291,7 @@ class PetrolTwin(TwinDefaults):
         }
         fields = {
             "cylinder": t.cylinder_field * tolerance_modes([blocks.omega_e, np.log(blocks.p_im)]),
-            "throttle": t.throttle_field * tolerance_modes([opening(blocks), blocks.p_im / blocks.p_ic]),
+            "throttle": t.throttle_field * tolerance_modes([opening(blocks.alpha), blocks.p_im / blocks.p_ic]),
         }
         drifts = {"cylinder": t.drift, "throttle": t.drift, "boost": t.boost_drift, "cooler": t.cooler_drift}
         hats = drift_basis(self.time_s)

@@ -16,7 +16,8 @@ from dieseltwin.challenge.petrol_plant import drive
 from dieseltwin.cli.app import main
 from dieseltwin.discovery.verdict.document import load_discrepancy
 from dieseltwin.errors import InputError
-from dieseltwin.petrol.calibrate import calibrate
+from dieseltwin.petrol.calibrate import calibrate, fit_maps
+from dieseltwin.petrol.model import IDLE_RAD_S, SHUT_PCT
 from dieseltwin.petrol.parameters import FaultFreePiece, PetrolParameters, PetrolTerm, load_petrol, save_petrol
 from dieseltwin.petrol.recording import COLUMNS, PetrolRecording, pooled, read_petrol
 from dieseltwin.recordings.channels import channel_map
@@ -162,6 +163,33 @@ def test_calibrated_anew_is_learned(
 def test_too_short_to_calibrate(record: Recorder) -> None:
     with pytest.raises(InputError, match="at least 600 s"):
         calibrate(record(9, 120.0).signals, PetrolParameters(), "")
+
+
+@pytest.mark.parametrize("column", ["omega_e_rad_s", "alpha_th_pct", "p_im_Pa"])
+def test_a_reference_in_which_nothing_moves_is_refused(record: Recorder, column: str) -> None:
+    table = pd.read_csv(record(1, 900.0).path)
+    still = read_petrol(table.assign(**{column: float(table[column].median())})).signals
+    with pytest.raises(InputError, match=f"{column.lower()}: got the same reading"):
+        fit_maps(still, PetrolParameters())
+
+
+def test_a_throttle_that_reads_below_nothing_is_shut(record: Recorder, engine: PetrolParameters) -> None:
+    table = pd.read_csv(record(1, 900.0).path)
+    table.loc[table.time_s.between(300.0, 303.0), "alpha_th_pct"] = -1.5
+    found, _ = fit_maps(read_petrol(table).signals, PetrolParameters())
+    assert found.throttle is not None and np.isfinite(found.throttle.coefficients).all()
+    assert found.cylinder is not None and engine.cylinder is not None
+    np.testing.assert_allclose(found.cylinder.coefficients, engine.cylinder.coefficients, atol=0.02)
+
+
+def test_pauses_and_a_piece_that_cannot_be_judged(record: Recorder) -> None:
+    """A pause as long as three pieces is no piece; without the last one nothing idles, so it isn't judged."""
+    table = pd.read_csv(record(1, 1400.0).path)
+    table["time_s"] += 900.0 * (table.time_s > 350.0)
+    idling = (table.alpha_th_pct < SHUT_PCT) & (table.omega_e_rad_s < IDLE_RAD_S)
+    paused = read_petrol(table[~idling | (table.time_s > 2140.0)])
+    found, _ = calibrate(paused.signals, PetrolParameters(), "")
+    assert [piece.start_s for piece in found.pieces] == [0.0]
 
 
 def test_engine_without_maps(tmp_path: Path) -> None:

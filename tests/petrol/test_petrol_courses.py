@@ -15,8 +15,10 @@ import pytest
 import dieseltwin as dt
 from dieseltwin.petrol.calibrate import fit_maps
 from dieseltwin.petrol.discover import discover_petrol
+from dieseltwin.petrol.maps import tensor_value
 from dieseltwin.petrol.parameters import PetrolParameters, PetrolTerm, load_petrol
 from dieseltwin.petrol.recording import PetrolRecording, read_petrol
+from dieseltwin.petrol.simulate import simulate_petrol
 from dieseltwin.petrol.terms import active_sizes
 from dieseltwin.report.findings import levels
 
@@ -116,6 +118,20 @@ def test_simulated_beside_the_readings(engine: PetrolParameters, record: Recorde
     found = dt.simulate(record(33, 120.0), engine.model_copy(update={"terms": (term,)}))
     assert "with 1 term." in found.sentence
     assert "$W_{af}$ [kg/s]" in [axes.get_ylabel() for axes in found.plot().axes]
+
+
+def test_simulated_beyond_what_was_learned(engine: PetrolParameters, record: Recorder) -> None:
+    """The maps go straight on there, as they do where a recording is judged."""
+    drive, (cylinder, _) = record(33, 120.0), engine.maps
+    knots_x, knots_y, theta = (np.array(v) for v in (cylinder.knots_x, cylinder.knots_y, cylinder.coefficients))
+    step = knots_x[1] - knots_x[0]
+    times = (knots_x[-1] + 0.8 * step) / drive.signals.omega_e.max()
+    faster = replace(drive, signals=replace(drive.signals, omega_e=times * drive.signals.omega_e))
+    table = simulate_petrol(engine, faster)
+    assert (table.omega_e_rad_s > knots_x[-1] + 0.3 * step).sum() > 20
+    log_p = np.log(table.p_im_true_pa.to_numpy())
+    known = np.exp(tensor_value(table.omega_e_rad_s.to_numpy(), log_p, knots_x, knots_y, theta))
+    np.testing.assert_allclose(table.eta_vol, known, rtol=2e-3)
 
 
 def test_terms_in_another_recording(engine: PetrolParameters, record: Recorder) -> None:

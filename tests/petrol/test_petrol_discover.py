@@ -20,11 +20,12 @@ from dieseltwin.discovery.twins.interface import Lanes
 from dieseltwin.discovery.verdict.document import NONE_OF_THESE, Discrepancy
 from dieseltwin.discovery.verdict.reasons import candidate_rows
 from dieseltwin.errors import InputError
+from dieseltwin.petrol.blocks import blocks_of, make_grid
 from dieseltwin.petrol.calibrate import fit_maps, pieces
 from dieseltwin.petrol.discover import discover_petrol, judge, next_single
 from dieseltwin.petrol.effects import HYPOTHESES, undo
 from dieseltwin.petrol.parameters import PetrolParameters, load_petrol, save_petrol
-from dieseltwin.petrol.recording import PetrolRecording, blocks_of, gaps, read_petrol
+from dieseltwin.petrol.recording import PetrolRecording, gaps, read_petrol
 from dieseltwin.petrol.simulate import simulate_petrol
 from dieseltwin.petrol.twin import PetrolTwin
 from dieseltwin.report.petrol import petrol_page
@@ -265,7 +266,7 @@ def test_engine_file_round_trip(engine: PetrolParameters, tmp_path: Path) -> Non
 
 
 def test_pieces_cover_the_recording() -> None:
-    spans = pieces(1803.4)
+    spans = pieces(make_grid(np.arange(0.0, 1803.4, 0.1)))
     assert len(spans) == 6 and spans[0][0] == 0.0 and spans[-1][1] > 1803.4
     assert all(a[1] == b[0] for a, b in pairwise(spans))
 

@@ -8,7 +8,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from dieseltwin.petrol.recording import pooled, read_petrol
+from dieseltwin.errors import InputError
+from dieseltwin.petrol.recording import gaps, pooled, read_petrol
 
 
 @pytest.fixture
@@ -37,6 +38,33 @@ def test_rows_without_a_reading_are_said(table: pd.DataFrame) -> None:
 def test_a_few_are_not(table: pd.DataFrame) -> None:
     table.loc[[3, 500, 700], ["p_im_pa", "t_ic_k"]] = np.nan
     assert not read_petrol(table).notes
+
+
+@pytest.mark.parametrize(
+    ("column", "reading", "words"),
+    [("omega_e_rad_s", 0.0, "50 rows left out, in which the engine runs at less than 300 rpm"),
+     ("p_im_pa", 0.0, "50 rows left out, in which p_im_pa reads less than 5000 Pa")],
+)
+def test_a_standing_engine_and_a_sensor_that_drops_out_are_left_out(
+    table: pd.DataFrame, column: str, reading: float, words: str
+) -> None:
+    table.loc[400:449, column] = reading
+    read = read_petrol(table)
+    assert read.signals.time_s.size == 950 and len(gaps(read.signals.time_s)) == 2
+    (note,) = read.notes
+    assert note == f"note: {words}" and (note.code, note.affects) == ("left_out", (column,))
+
+
+def test_messages_name_the_row_of_the_file(table: pd.DataFrame) -> None:
+    text = table.assign(p_im_pa=table.p_im_pa.astype(object).where(table.index != 4, "none"))
+    with pytest.raises(InputError, match="column p_im_pa, data row 5: got 'none'"):
+        read_petrol(text)
+    with pytest.raises(InputError, match="column p_im_pa: got 0 numbers"):
+        read_petrol(table.assign(p_im_pa=np.nan))
+    table.loc[10:19, "p_im_pa"] = np.nan
+    table.loc[50, "time_s"] = table.time_s[49]
+    with pytest.raises(InputError, match="no rise at data row 51"):
+        read_petrol(table)
 
 
 def test_what_was_done_to_the_file_is_said(table: pd.DataFrame, tmp_path: Path) -> None:
