@@ -362,7 +362,7 @@ def imply(
                          "this column: the engine has an exhaust flap", "add the flap's position")
     straight = source.with_columns(**{column: 100.0 - source[column] for column in turned})
     notes = [*contradictions(straight, answers.first.misfit(straight)),
-             *outside(source, answers.first.guess.centre, answers.first.guess.spread)]  # fmt: skip
+             *outside(straight, answers.first.guess.centre, answers.first.guess.spread)]  # fmt: skip
     decided = [f"{column} ({100 * share:.0f} %)" for column, share in answers.disagreement(straight).items()
                if share > DECIDED]
     if decided:

@@ -73,6 +73,21 @@ def test_the_flap_is_found(mended: PointsDiscovery) -> None:
     assert "flap" in sentence(mended) and "explains 0 %" not in sentence(mended)
 
 
+def test_points_of_an_actuator_that_closes_are_no_others(
+    mended: PointsDiscovery, answers: Answers, data: SteadyPoints, tmp_path: Path
+) -> None:
+    """An engine whose VGT position counts the other way is answered for as one whose position doesn't."""
+    valves = [replace(a, opens=-1) if a.column == "u_vgt_pct" else a for a in mended.calibration.actuators]
+    closes = replace(mended, calibration=replace(mended.calibration, actuators=tuple(valves)))
+    write_repaired(closes, tmp_path / "repaired.yaml", answers)
+    plain, turned = tmp_path / "plain", data.with_columns(u_vgt_pct=100.0 - data["u_vgt_pct"])
+    plain.mkdir()
+    write_repaired(mended, plain / "repaired.yaml", answers)
+    known, found = imply(data, plain / "repaired.yaml"), imply(turned, tmp_path / "repaired.yaml")
+    np.testing.assert_allclose(found.table()["p_es_pa"], known.table()["p_es_pa"], rtol=1e-9)
+    assert found.notes == known.notes and not any(note.code == "extrapolated" for note in known.notes)
+
+
 def test_pressure_after_the_turbine_is_implied(answers: Answers, data: SteadyPoints) -> None:
     implied = answers(data)
     truth = SteadyModel(TRUTH).relations(data, data.states(), FLAP).quantities["p_es"][0]
