@@ -148,7 +148,10 @@ class RigParameters(StrictModel):
             earlier.append(name)
         for name, formula in [*self.rates.items(), *self.readings.items()]:
             _check(name, _names(name, formula), known)
-        _check("term", [term.effect for term in self.terms], self.effects)
+        named = [term.effect for term in self.terms]
+        _check("term", named, self.effects)
+        if twice := [name for name in dict.fromkeys(named) if named.count(name) > 1]:
+            raise ValueError(f"terms: {listed(twice)} twice; each effect once: drop one of the two, or add them up")
         _check("law at", [law.at for law in self.laws], self.quantities)
         _check("floors", self.floors, self.readings)
         for name, state in self.states.items():

@@ -86,6 +86,8 @@ def test_a_name_is_a_plain_identifier(name: str, tank: RigParameters) -> None:
         ({"rates": {"h": "balanse"}}, "did you mean balance"),
         ({"rates": {"x": "balance"}}, "one rate a state"),
         ({"terms": [{"effect": "leek", "magnitude": 0.1}]}, "did you mean leak"),
+        ({"terms": [{"effect": "leak", "magnitude": 0.1}, {"effect": "leak", "magnitude": 0.2, "onset_s": 9.0}]},
+         "terms: leak twice"),
         ({"laws": [{"at": "balanc", "coefficient": 1.0}]}, "did you mean balance"),
         ({"states": {"h": {"scale": 1.0, "nearest": "levle"}}}, "did you mean level"),
         ({"readings": {}}, "at least"),
