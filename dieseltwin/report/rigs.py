@@ -80,7 +80,8 @@ def _held_out(found: RigDiscovery) -> Section:
         if not item.before.size:
             continue
         what = ", ".join(item.names) or (NONE_OF_THESE if item.law is None else f"{NONE_OF_THESE}: {item.law.text}")
-        errors = "; ".join(f"{c} {b:.3g} → {a:.3g}" for c, b, a in zip(channels, item.before, item.after, strict=True))
+        errors = "; ".join(f"{c} {b:.3g} → {a:.3g}" for c, b, a in zip(channels, item.before, item.after, strict=True)
+                           if not np.isnan(b))  # absent there
         table.append((str(number), what, errors, "kept" if item.taken else "left out again"))
     heads = ("round", "finding", "error of free runs without → with it (rms)", "verdict")
     return Section("held-out", "Held-out proof", words=HELD_OUT, series=series,

@@ -64,7 +64,7 @@ class Round:
         names: what it would add.
         law: or the law.
         before, after: rms error of free runs over the last part of the recording, by machines that were fitted to the
-            first part, (C,) [units of the readings].
+            first part, (C,) [units of the readings]; NaN for a reading that is absent there.
         taken: whether they are good enough.
         early: the machine of `after`; None where it runs away, and where there was nothing to try.
         onset_s: time stamp since when it is so [s]; None: from the first row on.
@@ -258,7 +258,7 @@ def _course(
         candidate = _with(here, found, names, law, since)
         bar = settings.gain_of_law if law is not None else settings.loss_of_name
         later, by = foretold(candidate, recording, checked)
-        taken = bool(np.isfinite(later).all() and np.mean(later / errors) <= bar)
+        taken = _foretells(later, errors, bar)
         repaired, refit = fitted(candidate, recording) if taken else (here, fit)
         if rounds and not all(_sure(term, settings) for term in repaired.terms if term.effect in names):
             break  # what is left is nothing that has a size
@@ -267,6 +267,12 @@ def _course(
             break
         here, fit, errors = repaired, refit, later
     return _Course(tuple(rounds), here, fit, early)
+
+
+def _foretells(later: Array, errors: Array, bar: float) -> bool:
+    """Whether errors of free runs (C,) are at most `bar` times those before; NaN is an absent reading."""
+    there = ~np.isnan(errors)
+    return bool(there.any() and np.isfinite(later[there]).all() and np.mean(later[there] / errors[there]) <= bar)
 
 
 def _sure(term: RigTerm, settings: RigSettings) -> bool:

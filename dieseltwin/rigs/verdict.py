@@ -119,7 +119,7 @@ def shares(result: RigDiscovery) -> list[tuple[tuple[str, ...], float]]:
     takes away [-]."""
     judged = [item for item in result.taken if item.after.size]
     return [((NONE_OF_THESE,) if item.law is not None else item.names,
-             float(np.mean((item.before**2 - item.after**2) / judged[0].before**2))) for item in judged]
+             float(np.nanmean((item.before**2 - item.after**2) / judged[0].before**2))) for item in judged]
 
 
 def _effects(result: RigDiscovery) -> tuple[FoundEffect, ...]:
@@ -183,12 +183,13 @@ def _whole(judged: Sequence[Round]) -> float | None:
     """Share of the squared error of free runs that all rounds together take away [-]."""
     if not judged:
         return None
-    return float(np.clip(1.0 - np.mean((judged[-1].after / judged[0].before) ** 2), 0.0, 1.0))
+    return float(np.clip(1.0 - np.nanmean((judged[-1].after / judged[0].before) ** 2), 0.0, 1.0))
 
 
 def _nll(error: Array) -> float:
-    """Negative log-likelihood per sample of Gaussian errors whose root mean squares (C,) are those found."""
-    return float(np.sum(np.log(error) + 0.5 * np.log(2.0 * np.pi) + 0.5))
+    """Negative log-likelihood per sample of Gaussian errors whose root mean squares (C,) are those found, NaN for a
+    reading that is absent."""
+    return float(np.nansum(np.log(error) + 0.5 * np.log(2.0 * np.pi) + 0.5))
 
 
 def sentence(result: RigDiscovery, found: Discrepancy) -> str:
@@ -216,7 +217,8 @@ def sentence(result: RigDiscovery, found: Discrepancy) -> str:
     if judged:
         errors = zip(result.fit_before.twin.channels, judged[0].before, judged[-1].after, strict=True)
         units = {state.nearest: state.unit for state in result.repaired.states.values()}  # a sensor shows its state
-        shown = (f"{c} {b:.3g} -> {a:.3g} {units.get(c, '')}".removesuffix(" -").rstrip() for c, b, a in errors)
+        shown = (f"{c} {b:.3g} -> {a:.3g} {units.get(c, '')}".removesuffix(" -").rstrip() for c, b, a in errors
+                 if not np.isnan(b))
         text += f" Free runs no fit has seen, rms: {', '.join(shown)}"
         percent = round(100.0 * (found.fit.share_explained or 0.0))
         text += (f", {percent} % of the squared error explained." if percent

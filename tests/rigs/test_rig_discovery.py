@@ -24,7 +24,7 @@ CART: dict[str, Any] = {
 }  # fmt: skip
 
 
-def driven(mass: float = 1.5, n: int = 900) -> pd.DataFrame:
+def driven(mass: float = 1.5, n: int = 900, drag: float = 2.0) -> pd.DataFrame:
     """Samples every 0.05 s, integrated here in small steps."""
     rng, parts, step = np.random.default_rng(1), 40, 0.05
     force = np.interp(np.arange(n), np.arange(0, n + 40, 20), rng.uniform(-8.0, 8.0, n // 20 + 2))
@@ -33,7 +33,7 @@ def driven(mass: float = 1.5, n: int = 900) -> pd.DataFrame:
         rows.append((k * step, force[k], v + 0.004 * rng.standard_normal()))
         for share in (np.arange(parts) + 0.5) / parts:
             now = force[k] + share * (force[min(k + 1, n - 1)] - force[k])
-            v += step / parts * (now - 2.0 * v) / mass
+            v += step / parts * (now - drag * v) / mass
     return pd.DataFrame(rows, columns=["time_s", "force_n", "v_m_s"])
 
 
@@ -44,6 +44,17 @@ def rig() -> RigParameters:
 
 def test_a_sound_cart_has_nothing() -> None:
     assert not dt.discover(driven(), rig()).document.mismatch
+
+
+def test_a_sensor_that_is_absent_in_the_judged_part_keeps_no_finding_back() -> None:
+    pair = RigParameters.model_validate(CART | {"readings": {"v_m_s": "v", "other": "v"}})
+    table = driven(drag=3.0)
+    table["other"] = table["v_m_s"].where(table.index < 400)
+    found = dt.discover(table, pair)
+    assert [effect.name for effect in found.document.effects] == ["worn"]
+    fit = found.document.fit
+    assert fit.share_explained is not None and fit.share_explained > 0.9 and fit.held_out_nll_after is not None
+    assert "nan" not in found.sentence
 
 
 def test_a_recording_that_is_not_the_machines_is_no_clean_bill() -> None:
