@@ -249,8 +249,8 @@ def _outputs(engine: EngineParameters, terms: TermsInC) -> str:
     lags = [(k, slot_parts(slot)[0]) for k, slot in enumerate(terms.readings) if slot_parts(slot)[1] == "lag"]
     values = "\n".join(f"    out[{k}] = {true_values[column]};" for k, column in lags)
     runs = "\n".join(
-        f"    e->reading[{k}] = e->amount[{k}] > 0.0 ? actuator_update(e->reading[{k}], before[{k}], now[{k}], dt, "
-        f"e->amount[{k}]) : now[{k}];" for k, _ in lags
+        f"    e->reading[{k}] = amount[{k}] > 0.0 ? actuator_update(e->reading[{k}], before[{k}], now[{k}], dt, "
+        f"amount[{k}]) : now[{k}];" for k, _ in lags
     )  # fmt: skip
     return f"""enum {{ N_OUTPUTS = {len(columns)} }};
 static const char *const OUTPUT_NAMES[N_OUTPUTS] = {{
@@ -282,12 +282,12 @@ static void readings_start(Engine *e)
     reading_values(e, e->reading);
 }}
 
-/* Sensors that lag, over dt [s] in which their true values ran from `before` to those now. */
-static void readings_run(Engine *e, const double *before, double dt)
+/* Sensors that lag by an amount [s], over dt [s] in which their true values ran from `before` to those now. */
+static void readings_run(Engine *e, const double *before, const double *amount, double dt)
 {{
     double now[READINGS];
     reading_values(e, now);
-    (void)now, (void)before, (void)dt;
+    (void)now, (void)before, (void)amount, (void)dt;
 {runs}
 }}
 """

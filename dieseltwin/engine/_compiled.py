@@ -215,13 +215,16 @@ def follow_lags(time, u, taus):  # type: ignore[no-untyped-def]
 
 @kernel(**_OPTIONS)
 def follow_lanes(time, u, tau):  # type: ignore[no-untyped-def]
-    """First-order lags behind u (B, n), linear between samples, settled at the start; tau (B, n), 0: none."""
+    """First-order lags behind u (B, n), linear between samples, settled at the start.
+
+    tau (B, n): of a sample holds over the interval after it; 0: none.
+    """
     out = np.empty_like(u)
     for k in range(u.shape[0]):
         out[k, 0] = u[k, 0]
         for i in range(time.shape[0] - 1):
-            if tau[k, i + 1] > 0.0:
-                out[k, i + 1] = actuator_update(out[k, i], u[k, i], u[k, i + 1], time[i + 1] - time[i], tau[k, i + 1])
+            if tau[k, i] > 0.0:
+                out[k, i + 1] = actuator_update(out[k, i], u[k, i], u[k, i + 1], time[i + 1] - time[i], tau[k, i])
             else:
                 out[k, i + 1] = u[k, i + 1]
     return out

@@ -83,7 +83,7 @@ def _behind_lag(
 ) -> np.ndarray:
     """A signal behind a lag of tau [s], settled at its start, at the wanted times; tau is multiplied by factor (n,)."""
     merged = np.union1d(time, wanted)
-    at = np.clip(np.searchsorted(time, merged, side="left") - 1, 0, time.size - 1)  # the interval that ends there
+    at = np.clip(np.searchsorted(time, merged, side="right") - 1, 0, time.size - 1)
     taus = np.full(merged.size, tau) if factor is None else tau * factor[at]
     lagged = follow_lanes(merged, np.interp(merged, time, values)[None], np.ascontiguousarray(taus[None]))[0]
     return lagged[np.searchsorted(merged, wanted)]

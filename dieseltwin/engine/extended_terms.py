@@ -352,5 +352,4 @@ def along(
 
 def _lagged(static: np.ndarray, time_s: np.ndarray, tau: np.ndarray) -> np.ndarray:
     flat = np.ascontiguousarray(np.asarray(static).reshape(-1, time_s.size))
-    held = np.concatenate([tau[:1], tau[:-1]])  # the factor of a sample holds over the interval after it
-    return follow_lanes(time_s, flat, np.ascontiguousarray(np.broadcast_to(held, flat.shape))).reshape(static.shape)
+    return follow_lanes(time_s, flat, np.ascontiguousarray(np.broadcast_to(tau, flat.shape))).reshape(static.shape)

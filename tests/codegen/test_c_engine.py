@@ -76,6 +76,8 @@ def differences(expected: pd.DataFrame, got: pd.DataFrame) -> pd.Series:
         pytest.param(_engine(LEARNED, Term(effect="boost_leak", magnitude=3e-5, onset_s=20.0),
                              Term(effect="egr_clogging", magnitude=1e-3),
                              SensorTerm(sensor="w_c_kg_s", fault="offset", magnitude=0.01)), 1e-6, id="learned"),
+        pytest.param(_engine(Term(effect="thermocouple_lag", magnitude=0.8, onset_s=6.03, until_s=24.1)), 1e-6,
+                     id="a lag that comes and goes"),
         pytest.param(_engine(LEARNED, Term(effect="back_pressure", magnitude=1.6e5),
                              Term(effect="air_filter_restriction", magnitude=5e4)), 1e-6, id="learned, restricted"),
     ],

@@ -281,3 +281,13 @@ def test_sensor_effects() -> None:
     assert out[0, 15, 4] == pytest.approx(800.0 - (100.0 - ramp) * np.exp(-1.0))
     np.testing.assert_array_equal(out[..., 2:4], measured[..., 2:4])
     assert apply_sensor_effects(measured, time, {"boost_leak": 1e-5}) is measured
+
+
+def test_a_lag_acts_in_the_interval_after_its_onset() -> None:
+    """As every effect: the reading at the onset is what it was, the one at the end still lags."""
+    time = 0.2 * np.arange(6)
+    rising = 600.0 + 10.0 * time[None, :, None]
+    acting = {"thermocouple_lag": np.array([0.0, 0.0, 1.0, 1.0, 0.0, 0.0])}
+    (out,) = apply_sensor_effects(rising, time, {"thermocouple_lag": 0.5}, acting, ("t_em_k",))[..., 0]
+    late = np.abs(out - rising[0, :, 0]) > 1e-9
+    assert late.tolist() == [False, False, False, True, True, False]

@@ -271,8 +271,9 @@ static void engine_step(Engine *e, Inputs begin, Inputs end, double dt)
     const double tau = thermal_inertia(e->m);
     const double low[3] = {P_IM_LOW * c.p_amb, P_EM_LOW * c.p_amb, OMEGA_LOW};
     const double high[3] = {P_IM_HIGH * c.p_amb, P_EM_HIGH * c.p_amb, OMEGA_HIGH};
-    double readings_before[READINGS];
+    double readings_before[READINGS], held[READINGS];
     reading_values(e, readings_before);
+    reading_amounts(held, t, t, begin, begin);
 
     const int steps = (int)maximum(ceil(dt / LONGEST_STEP_S - STEP_TOLERANCE), 1.0);
     const double h = dt / steps;
@@ -324,7 +325,7 @@ static void engine_step(Engine *e, Inputs begin, Inputs end, double dt)
     e->inputs = end;
     engine_hold(e, end, 0.0);
     oxygen_run(e, &before, before_p_im, before_p_em, h);
-    readings_run(e, readings_before, dt);
+    readings_run(e, readings_before, held, dt);
 }
 
 static void engine_start(Engine *e, double time_s, Inputs u, double p_im, double p_em, double omega_t)
