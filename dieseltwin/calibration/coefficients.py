@@ -35,7 +35,7 @@ class Coefficient:
     """One free number of the calibration.
 
     Attributes:
-        name: scalar engine parameter ("c_vol1") or parameter of a term ("flap_0").
+        name: scalar engine parameter ("c_vol1") or parameter of a term ("flap_m").
         submodel: row of the relations that it belongs to first.
         mean, std: what is believed before the data [unit].
         low, high: bounds [unit].
@@ -112,7 +112,10 @@ BELIEFS: tuple[Coefficient, ...] = (
     _c("work_slope", "compressor_work", 2.0, 0.7, 0.0, 5.0, "-", "backswept blades, 30 to 40 degrees"),
 )
 """What is believed of places that settled points don't see: effects by their names, and what is none of the catalogue.
-`imply` needs them; discovery doesn't use them."""
+
+`imply` fits them beside what was found. Calibration and search fit none of them but the walls' heating where the charge
+was read; a law that takes such a place beyond them is refused (`believable`).
+"""
 
 _ROW_OF_SITE = {
     "turbine_power": "turbo_power", "compressor_power": "turbo_power", "shaft_power": "turbo_power",

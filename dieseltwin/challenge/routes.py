@@ -103,7 +103,10 @@ def _through_ecu(
 def _fuel(
     torque_nm: np.ndarray, n_e: np.ndarray, p_im: np.ndarray, p_em: np.ndarray, parameters: Mapping[str, Any]
 ) -> np.ndarray:
-    """Fuel for a torque [mg/cycle]: indicated work pays for torque, pumping and friction (NOTES, "Torque")."""
+    """Fuel for a torque [mg/cycle]: indicated work pays for torque, pumping and friction.
+
+    Wahlström and Eriksson (2011), Eqs. 16-19, solved for the fuel.
+    """
     speed = n_e / 1000.0
     a, b, c = parameters["c_fric"]
     paid = 4.0 * np.pi * torque_nm + parameters["V_d"] * (p_em - p_im + 1e5 * (a * speed**2 + b * speed + c))

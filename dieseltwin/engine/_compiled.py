@@ -32,7 +32,7 @@ _OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}, "n
 
 _INLINED: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}, "forceinline": True}
 
-P_IM_LOW, P_IM_HIGH = 0.5, 10.0  # of p_amb, limiters of the published simulation (NOTES)
+P_IM_LOW, P_IM_HIGH = 0.5, 10.0  # of p_amb, limiters of the published simulation
 P_EM_LOW, P_EM_HIGH = 0.5, 20.0
 OMEGA_LOW, OMEGA_HIGH = 100.0 * np.pi / 30.0, 200000.0 * np.pi / 30.0  # rad/s
 
@@ -179,7 +179,7 @@ def _integrate(grids, grid_of_lane, steps, time, constants, initial, out):  # ty
                 at += 2
 
 
-X_R_START, T_1_START = 0.03, 310.0  # start of the cylinder's fixed point (NOTES)
+X_R_START, T_1_START = 0.03, 310.0  # start of the cylinder's fixed point, as in the published simulation
 SAMPLE_SWEEPS = 2  # pairs of sweeps at a sample: the warm start is off by a step's change, 1e-3; 20**-4 of it remains
 START_SWEEPS = 6  # pairs of sweeps from the cold start
 

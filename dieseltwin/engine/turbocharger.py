@@ -5,7 +5,7 @@ from __future__ import annotations
 from dieseltwin.engine.array_namespace import Array, maximum, minimum, positive_power, root, where
 from dieseltwin.engine.model_constants import Constants
 
-PI_T_MAX = 0.9999  # limiters of the published simulation (NOTES): turbine pressure quotient,
+PI_T_MAX = 0.9999  # limiters of the published simulation: turbine pressure quotient,
 ETA_TM_MIN = 0.2  # turbine efficiency in [0.2, 1],
 ETA_TM_MAX = 1.0
 C_PSI1_MIN = 0.0  # ellipse coefficients of the compressor map,

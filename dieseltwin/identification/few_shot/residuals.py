@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 N_HEALTH = len(HEALTH)
 
 X_R_START, T_1_START = 0.03, 310.0
-"""Start of the cylinder's fixed point (NOTES), x_r [-] and T_1 [K]."""
+"""Start of the cylinder's fixed point as in the published simulation, x_r [-] and T_1 [K]."""
 COLD_SWEEPS, WARM_SWEEPS = 4, 2
 """Pairs of sweeps of the fixed point; each pair shrinks the error 400-fold, a warm start is off by a step's
 change."""
@@ -93,11 +93,10 @@ class Point:
 class PointModel:
     """The engine's equations at points, x_r and T_1 eliminated exactly.
 
-    The fixed point of x_r and T_1 (A.9, A.10) is solved by the engine's own sweeps. Its derivative follows
-    from the
-    implicit function theorem, (I - dg/d(x_r, T_1))^-1 dg/d(states, parameters), a 2 x 2 system at each
-    point; nothing
-    is unrolled. Derivatives are reverse mode, one sweep an output: each touches its own part of the equations only.
+    The fixed point of x_r and T_1 (A.9, A.10) is solved by the engine's own sweeps. Its derivative follows from the
+    implicit function theorem, (I - dg/d(x_r, T_1))^-1 dg/d(states, parameters), a 2 x 2 system at each point; nothing
+    is unrolled. With learned maps or terms derivatives are reverse mode, one sweep an output: each touches its own part
+    of the equations only. The exact engine's are compiled tangents (`engine.tangents`).
 
     Args:
         parameters: known parameters (the health values in it are not used).
