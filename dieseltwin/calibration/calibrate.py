@@ -239,7 +239,7 @@ def calibrate(
     notes.append("eta_c and eta_tm enter the balances as a product: without t_c_k their scale is the prior's")
     if "t_im_k" not in points:
         notes.append("volumetric efficiency and T_im enter as a quotient: T_im is the geometry file's or the base's")
-    fits = _fits(model, points, mask, {**start, **trained.values()}, whole)
+    fits = submodel_fits(model, points, mask, {**start, **trained.values()}, whole.discrepancy)
     notes += [Note(f"{name}: {100 * max(fit.coefficient_of_determination, 0.0):.0f} % of how the held-out points vary "
                    "is explained, where 95 and more are usual: is a column in another unit (fuel in kg/h under "
                    "u_delta_mg), or another quantity?", "misfit")
@@ -337,19 +337,26 @@ def counted_rows(model: SteadyModel, free: Sequence[Coefficient]) -> tuple[str, 
     return tuple(row for row in model.rows if row not in ROWS or row in told)
 
 
-def _fits(model: SteadyModel, points: SteadyPoints, mask: NDArray[np.bool_], values: Mapping[str, float],
-          whole: Estimate) -> dict[str, Fit]:  # fmt: skip
-    """Fit in % at the measured states, of coefficients that never saw the masked points."""
+def submodel_fits(
+    model: SteadyModel, points: SteadyPoints, mask: NDArray[np.bool_], values: Mapping[str, float], discrepancy: Array
+) -> dict[str, Fit]:
+    """Fit of each relation in % at the measured states, of coefficients that never saw the masked points.
+
+    Args:
+        model, points: relations and n points.
+        mask: (n,) points that the coefficients never saw.
+        values: coefficients by name.
+        discrepancy: (R,) each relation's own error [-].
+    """
     relations = model.relations(points, points.states(), values)
-    fits = {}
-    for i, row in enumerate(model.rows):
-        r = relations.residual[0, :, i]
-        fits[row] = fit_of(r, relations.measured[row][0], relations.predicted[row][0], mask,
-                           float(whole.discrepancy[i]))
-    return fits
+    return {
+        row: _fit_of(relations.residual[0, :, i], relations.measured[row][0], relations.predicted[row][0], mask,
+                     float(discrepancy[i]))
+        for i, row in enumerate(model.rows)
+    }  # fmt: skip
 
 
-def fit_of(residual: Array, measured: Array, predicted: Array, mask: NDArray[np.bool_], tolerance: float) -> Fit:
+def _fit_of(residual: Array, measured: Array, predicted: Array, mask: NDArray[np.bool_], tolerance: float) -> Fit:
     """The figures of one submodel; `residual` is ln measured/predicted, (n,) each."""
     good = np.isfinite(residual)
 

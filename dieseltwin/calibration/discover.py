@@ -16,21 +16,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dieseltwin.calibration.believable import unbelievable
-from dieseltwin.calibration.calibrate import Calibration, Fit, counted_rows, fit_of
+from dieseltwin.calibration.calibrate import Calibration, Fit, counted_rows, submodel_fits
 from dieseltwin.calibration.coefficients import (
     BELIEFS,
     FLAP_COEFFICIENTS,
     Coefficient,
     effect_coefficients,
-    engine_coefficients,
     with_scalars,
     worn,
 )
 from dieseltwin.calibration.lasting_errors import map_corrections
-from dieseltwin.calibration.likelihood import DEGREES, Estimate, estimate, log_density
+from dieseltwin.calibration.likelihood import Estimate, estimate, log_density
 from dieseltwin.calibration.reference_engine import about_reference, told_by_reference
 from dieseltwin.calibration.scatter import Scatter, scatter_of
-from dieseltwin.calibration.steady_model import COOLED_CHARGE, COOLED_EGR, ROWS, WORK_ROW, SteadyModel, term_values
+from dieseltwin.calibration.steady_model import COOLED_CHARGE, COOLED_EGR, WORK_ROW, SteadyModel, term_values
 from dieseltwin.calibration.steady_twin import SteadyTwin, hypotheses_of
 from dieseltwin.discovery.laws.search import Law
 from dieseltwin.discovery.laws.sensor import best_law
@@ -42,7 +41,7 @@ from dieseltwin.discovery.twins.interface import Hypothesis
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.engine.parameters import EngineParameters
 from dieseltwin.engine.terms import OneTerm, SensorTerm, Term, corrections_in, law_terms, with_corrections
-from dieseltwin.recordings.steady_points import STATES, SteadyPoints
+from dieseltwin.recordings.steady_points import STATES
 from dieseltwin.settings.params import default_search
 from dieseltwin.settings.search import PointSettings, SearchSettings, SubmodelErrors
 
@@ -234,7 +233,8 @@ def discover_points(calibration: Calibration, options: Options | None = None) ->
     values = here.estimate.values()
     return PointsDiscovery(
         calibration, here, tuple(rounds), {name: (values[name], std[name]) for name in names}, nll_before, nll,
-        _all_fits(calibration.model, points, mask, trained_before), _all_fits(here.model, points, mask, trained),
+        submodel_fits(calibration.model, points, mask, trained_before, calibration.estimate.discrepancy),
+        submodel_fits(here.model, points, mask, trained, here.estimate.discrepancy),
         law, terms, scatter, options, _formulations(here, free, options.search.submodels), time.perf_counter() - clock,
         before_law,
     )  # fmt: skip
@@ -362,27 +362,3 @@ def _formulations(
         out[name] = (model, estimate(model, here.points, every, start, iterations=FULL_ITERATIONS, inflate=True,
                                      floors=floors, rows=counted_rows(model, every)))
     return out
-
-
-def _scales(model: SteadyModel, points: SteadyPoints, values: Mapping[str, float]) -> Array:
-    """Scale of Student's t of each submodel's residual, (6,): maximum likelihood by fixed point."""
-    r = model.relations(points, points.states(), values).residual[0][:, : len(ROWS)]
-    s2 = np.nanmedian(r**2, axis=0) + 1e-6
-    for _ in range(20):
-        weight = (DEGREES + 1.0) / (DEGREES + r**2 / s2)
-        s2 = np.nanmean(weight * r**2, axis=0) + 1e-6
-    return np.asarray(np.sqrt(s2))
-
-
-def _all_fits(model: SteadyModel, points: SteadyPoints, mask: NDArray[np.bool_],
-              values: Mapping[str, float]) -> dict[str, Fit]:  # fmt: skip
-    relations = model.relations(points, points.states(), values)
-    scale = _scales(model, points, values)
-    return {
-        row: fit_of(relations.residual[0, :, i], relations.measured[row][0], relations.predicted[row][0], mask,
-                    float(scale[i]))
-        for i, row in enumerate(ROWS)
-    }  # fmt: skip
-
-
-__all__ = ["Options", "PointsDiscovery", "Round", "discover_points", "engine_coefficients"]

@@ -169,7 +169,6 @@ def estimate(
     discrepancy: Mapping[str, float] | None = None,
     iterations: int = 6,
     inflate: bool = False,
-    use_prior: bool = True,
     floors: Mapping[str, float] | None = None,
 ) -> Estimate:
     """Fit coefficients to points.
@@ -183,7 +182,6 @@ def estimate(
         discrepancy: first guess of each relation's own error [-]; 0.02 by default, re-estimated at every iteration.
         iterations: of the latent states.
         inflate: divide the information by the number of points that err alike (`correlation_inflation`).
-        use_prior: keep the priors of the coefficients.
         floors: least error believed of a relation [-], by name; `FLOOR` for the others.
 
     Returns:
@@ -221,7 +219,7 @@ def estimate(
             columns = {c.name: lanes[:, i] for i, c in enumerate(coefficients)}
             all_lanes = whitened(columns).reshape(P + 1, -1)
             r, J = all_lanes[0], ((all_lanes[1:] - all_lanes[0]) / COEFFICIENT_STEP).T
-            return (np.concatenate([r, z]), np.vstack([J, np.eye(P)])) if use_prior else (r, J)
+            return np.concatenate([r, z]), np.vstack([J, np.eye(P)])
 
         at = _WithSlopes(with_slopes)
         z_low, z_high = (low - mean) / std, (high - mean) / std

@@ -229,7 +229,7 @@ def _parsed(content: bytes, where: Path) -> LearnedEngine:
         prior = Belief(np.array(table["mean_before"]), np.array(table["covariance_before"].to_pylist()))
     known = [(row, metadata[row["sha256"].encode()]) for row in about["recordings"]]
     return LearnedEngine(
-        base, belief, float(about["map_rms"]), tuple(_recording(row, data, base) for row, data in known),
+        base, belief, float(about["map_rms"]), tuple(_recording(row, data) for row, data in known),
         {point: {k: (v[0], v[1]) for k, v in ends.items()} for point, ends in about["domain"].items()},
         {row["sha256"]: float(row["misfit"]) for row, _ in known}, prior, Further(**about["further"]),
         dict(about.get("clocks", {})), bool(about.get("converged", True)),
@@ -237,7 +237,7 @@ def _parsed(content: bytes, where: Path) -> LearnedEngine:
     )  # fmt: skip
 
 
-def _recording(row: dict[str, Any], data: bytes, base: EngineParameters) -> Recording:
+def _recording(row: dict[str, Any], data: bytes) -> Recording:
     frame = pd.read_parquet(io.BytesIO(base64.b64decode(data)), **WITHOUT_THREADS)
     columns = {name: frame[name].to_numpy() for name in frame}
     began = None if row.get("began") is None else datetime.fromisoformat(row["began"])

@@ -96,6 +96,6 @@ IMPLICIT = (*effects_at("p_bc"), *effects_at("p_es"))
 """Effects whose law is solved at every evaluation: the flow that it asks for answers it."""
 
 __all__ = [
-    "ACTUATION_EFFECTS", "EFFECTS", "GAS_LAG", "HEATED_BY_GAS", "IMPLICIT", "SENSOR_EFFECTS", "SITES",
-    "STATE_EFFECTS", "Effect", "Magnitudes", "effects_at",
+    "ACTUATION_EFFECTS", "EFFECTS", "GAS_LAG", "HEATED_BY_GAS", "IMPLICIT", "SITES", "STATE_EFFECTS", "Effect",
+    "Magnitudes", "effects_at",
 ]  # fmt: skip
