@@ -11,7 +11,7 @@ from dieseltwin.engine._compiled import LANES
 from dieseltwin.engine._compiled_extended import integrate_free, integrate_restricted
 from dieseltwin.engine._compiled_rates import N_OUT, N_STATES
 from dieseltwin.engine.effects import GAS_LAG, IMPLICIT, STATE_EFFECTS
-from dieseltwin.engine.inputs import Actuation
+from dieseltwin.engine.inputs import Actuation, grids_of
 from dieseltwin.engine.map_corrections import NO_CORRECTIONS, MapCorrections
 from dieseltwin.engine.observations import Observations, observations, pool, thread_count
 from dieseltwin.engine.parameters import ParameterBatch
@@ -59,23 +59,6 @@ def _checked(value: object, shape: tuple[int, ...], name: str, fill: float = 0.0
     if not np.isfinite(array).all():
         raise InputError(f"extension: {name}", "values that are not finite", "finite numbers", "correct them")
     return array
-
-
-def _grids(actuation: Actuation | Sequence[Actuation], lanes: int) -> tuple[Actuation, np.ndarray, np.ndarray]:
-    """The first actuation, the different grids (G, 4, 2 N + 1) and each lane's index among them (B,)."""
-    actuations = [actuation] if isinstance(actuation, Actuation) else list(actuation)
-    if len(actuations) not in (1, lanes):
-        raise InputError("simulate_extended", f"{len(actuations)} actuations", f"1 or {lanes}", "give one per lane")
-    first = actuations[0]
-    unique: dict[int, Actuation] = {}
-    for item in actuations:
-        if item.grid.shape != first.grid.shape or not np.array_equal(item.steps, first.steps):
-            raise InputError("simulate_extended", "different sample times", "one time grid", "group by grid")
-        unique.setdefault(id(item), item)
-    order = {key: position for position, key in enumerate(unique)}
-    of_lane = np.array([order[id(item)] for item in actuations], dtype=np.int64)
-    grids = np.stack([item.grid for item in unique.values()]) if len(unique) > 1 else first.grid[None]
-    return first, grids, np.broadcast_to(of_lane, (lanes,))
 
 
 def _schedules(extension: Extension, lanes: int, n: int) -> tuple[np.ndarray, np.ndarray]:
@@ -141,7 +124,7 @@ def simulate_extended(
         InputError: shapes that don't fit each other, or values that are not finite.
     """
     lanes = batch.size
-    first, grids, grid_of_lane = _grids(actuation, lanes)
+    first, grids, grid_of_lane = grids_of(actuation, lanes)
     time = first.time_s - first.time_s[0]
     n = time.size
     magnitudes = _checked(extension.magnitudes, (len(STATE_EFFECTS), lanes), "magnitudes")

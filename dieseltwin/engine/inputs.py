@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -172,3 +173,23 @@ def actuate_like(actuation: Actuation, fine_inputs: Inputs) -> Actuation:
     u_egr, u_vgt = actuation.grid[2, ::2], actuation.grid[3, ::2]
     rows = np.append(np.repeat(np.arange(actuation.steps.size), actuation.steps), actuation.steps.size)
     return Actuation(fine_inputs.time_s, steps, fine_inputs, u_egr, u_egr, u_vgt, u_egr, actuation.grid, rows)
+
+
+def grids_of(actuation: Actuation | Sequence[Actuation], lanes: int) -> tuple[Actuation, np.ndarray, np.ndarray]:
+    """The first actuation, the different grids (G, 4, 2 N + 1) and each lane's index among them (B,).
+
+    Raises:
+        InputError: neither one actuation nor one per lane, or other sample times or steps.
+    """
+    actuations = [actuation] if isinstance(actuation, Actuation) else list(actuation)
+    if len(actuations) not in (1, lanes):
+        raise InputError("simulation", f"{len(actuations)} actuations", f"1 or {lanes}", "give one per lane")
+    first = actuations[0]
+    unique = {id(item): item for item in actuations}
+    for item in unique.values():
+        if item.grid.shape != first.grid.shape or not np.array_equal(item.steps, first.steps):
+            raise InputError("simulation", "different sample times", "one time grid", "group by grid")
+    order = {key: position for position, key in enumerate(unique)}
+    of_lane = np.array([order[id(item)] for item in actuations], dtype=np.int64)
+    grids = np.stack([item.grid for item in unique.values()]) if len(unique) > 1 else first.grid[None]
+    return first, grids, np.broadcast_to(of_lane, (lanes,)).copy()  # read-only, a kernel would be compiled again

@@ -160,6 +160,11 @@ _VECTORS: dict[str, tuple[str, ...]] = {
 }
 
 
+ELEMENTS: Mapping[str, tuple[str, int]] = {
+    element: (vector, index) for vector, elements in _VECTORS.items() for index, element in enumerate(elements)
+}
+"""Element of a vector parameter -> (parameter, index)."""
+
 _PUBLISHED = frozenset(PUBLISHED)
 
 

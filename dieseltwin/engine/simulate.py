@@ -12,7 +12,7 @@ from dieseltwin.engine.actuation import actuate
 from dieseltwin.engine.binding import numpy_model
 from dieseltwin.engine.extended_frame import columns_along
 from dieseltwin.engine.extended_terms import along, simulate_lanes, simulate_terms
-from dieseltwin.engine.inputs import DEFAULT_STEP_S, Actuation, Inputs, actuate_like
+from dieseltwin.engine.inputs import DEFAULT_STEP_S, Actuation, Inputs, actuate_like, grids_of
 from dieseltwin.engine.observations import Observations, observations, pool, thread_count
 from dieseltwin.engine.parameters import EngineParameters, ParameterBatch, constants, parameter_batch
 from dieseltwin.engine.sensor_effects import slot_parts
@@ -61,26 +61,7 @@ def simulate_states(
         return simulate_lanes(actuation, batch, initial, threads=threads)
     integrate_lanes, integrate_alone = kernels
     lanes = batch.size
-    actuations = [actuation] if isinstance(actuation, Actuation) else list(actuation)
-    if len(actuations) not in (1, lanes):
-        raise InputError(
-            "simulate_states", got=f"{len(actuations)} actuations", allowed=f"1 or {lanes}", do="give one per lane"
-        )
-    first = actuations[0]
-    unique: list[Actuation] = []
-    positions: dict[int, int] = {}
-    for item in actuations:
-        if id(item) not in positions:
-            if item.grid.shape != first.grid.shape or not np.array_equal(item.steps, first.steps):
-                raise InputError(
-                    "simulate_states", got="different sample times", allowed="one time grid", do="group by grid"
-                )
-            positions[id(item)] = len(unique)
-            unique.append(item)
-    grid_of_lane = np.array([positions[id(item)] for item in actuations], dtype=np.int64)
-    if grid_of_lane.size == 1:
-        grid_of_lane = np.zeros(lanes, dtype=np.int64)
-    grids = np.stack([item.grid for item in unique]) if len(unique) > 1 else first.grid[None]
+    first, grids, grid_of_lane = grids_of(actuation, lanes)
     start = np.broadcast_to(np.asarray(initial, dtype=np.float64), (lanes, 3))
     time = first.time_s - first.time_s[0]
 

@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from dieseltwin.engine.binding import bind
 from dieseltwin.errors import InputError
 from dieseltwin.inner import kernel
 from dieseltwin.petrol.blocks import LEAST_FLOW
@@ -35,15 +36,17 @@ SLOPE_S = 0.35  # over which the filling of the volume before the throttle is ta
 READ = ("p_im_gain", "p_im_offset", "p_im_late")  # faults of the state's sensor
 
 
+_nozzle_flow_factor = bind("numba").nozzle_flow_factor
+
+
 @kernel()  # type: ignore[untyped-decorator]
 def _psi(quotient):  # type: ignore[no-untyped-def]
     """Flow factor of a nozzle, as `components.nozzle_factor`."""
     if quotient >= 1.0:
         return 0.0
-    if quotient <= CRITICAL:
+    if quotient <= CRITICAL:  # most of the time; a known number is faster
         return CHOKED_FACTOR
-    q = min(quotient, LINEAR_ABOVE)
-    psi = np.sqrt(2.0 * GAMMA / (GAMMA - 1.0) * (q ** (2.0 / GAMMA) - q ** ((GAMMA + 1.0) / GAMMA)))
+    psi = _nozzle_flow_factor(min(quotient, LINEAR_ABOVE), GAMMA, CRITICAL)
     return psi * min((1.0 - quotient) / (1.0 - LINEAR_ABOVE), 1.0)
 
 
