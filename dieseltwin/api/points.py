@@ -383,8 +383,7 @@ def _answers(engine: PointsDiscovered | str | Path) -> tuple[Answers, tuple[str,
 
 def outside(source: SteadyPoints, centre: np.ndarray, spread: np.ndarray) -> list[Note]:
     """One line if points lie beyond `FAR` standard deviations of the inputs that the engine was calibrated with."""
-    inputs = np.stack([source[name] for name in INPUTS], axis=1)
-    far = (np.abs(inputs - centre) > FAR * spread).any(axis=1)
+    far = (np.abs(source.inputs() - centre) > FAR * spread).any(axis=1)
     if not far.any():
         return []
     return [Note(f"{int(far.sum())} points lie far from those of the calibration: extrapolated", "extrapolated")]

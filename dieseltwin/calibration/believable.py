@@ -8,11 +8,13 @@ above ambient. So a found law is refused where the place that it changes leaves 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dieseltwin.calibration.coefficients import BELIEFS
+from dieseltwin.calibration.relations import cooled_charge
 from dieseltwin.recordings.steady_points import SteadyPoints
 
 Array = NDArray[np.float64]
@@ -45,10 +47,8 @@ def believed_range(place: str, points: SteadyPoints, q: Mapping[str, Array]) -> 
     if place == "T_im":
         limits = []
         for side in (-1.0, 1.0):
-            charge = T_0 + _extreme("cooler_approach", side) + _extreme("charge_cooler_loss", side) * (q["T_c"] - T_0)
-            coolant = _extreme("egr_coolant", side)
-            egr = coolant + _extreme("egr_heating", side) * (q["T_em"] - coolant)
-            limits.append(charge + q["W_egr"] / (q["W_c"] + q["W_egr"]) * (egr - charge))
+            belief = partial(_extreme, side=side)
+            limits.append(cooled_charge(T_0 + belief("cooler_approach"), T_0, q, belief))
         return limits[0], limits[1]
     return None
 

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import rankdata
 
+from dieseltwin.engine.cylinder import fuel_flow
 from dieseltwin.errors import InputError
 from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.steady_points import STATES, SteadyPoints, once_each
@@ -62,7 +65,7 @@ def check_points(points: SteadyPoints, where: str, cylinders: int = 6) -> Steady
         InputError: too few points, columns that are swapped.
     """
     points = points.take(np.isfinite(points.states()).sum(axis=1) >= len(STATES) - 1)
-    different = np.unique(np.round(np.stack([points[name] for name in INPUTS], axis=1), _SAME_DIGITS), axis=0)
+    different = np.unique(np.round(points.inputs(), _SAME_DIGITS), axis=0)
     if points.size >= FEWEST_POINTS and len(different) < FEWEST_POINTS // 2:
         raise InputError(where, f"{len(different)} different operating points in {points.size} rows",
                          f"at least {FEWEST_POINTS // 2}; 60 or more to tell the maps' coefficients",
@@ -106,8 +109,9 @@ def _swapped(points: SteadyPoints, where: str, cylinders: int) -> None:
 
 
 def _fuel_flow(points: SteadyPoints, cylinders: int) -> Array:
-    """Fuel into all cylinders, (n,) [kg/s], Eq. (A.5)."""
-    return 1e-6 / 120.0 * points["u_delta_mg"] * points["n_e_rpm"] * cylinders
+    """Fuel into all cylinders, (n,) [kg/s]."""
+    engine: Any = SimpleNamespace(n_cyl=cylinders)
+    return np.asarray(fuel_flow(points["u_delta_mg"], points["n_e_rpm"], engine))
 
 
 def conductances(points: SteadyPoints, cylinders: int = 6) -> tuple[Array, Array]:

@@ -13,18 +13,7 @@ from typing import Any
 
 from dieseltwin.discovery.twins.interface import Hypothesis
 from dieseltwin.engine.effects import EFFECTS
-from dieseltwin.engine.parameters import HEALTH, EngineParameters
-
-VECTORS: Mapping[str, tuple[str, int]] = {
-    **{f"c_vol{i + 1}": ("c_vol", i) for i in range(3)},
-    **{f"c_egr{i + 1}": ("c_egr", i) for i in range(3)},
-    **{f"c_m{i + 1}": ("c_m", i) for i in range(3)},
-    **{f"a_{i + 1}": ("Q_c", i) for i in range(3)},
-    **{f"c_omega_psi{i + 1}": ("c_omega_psi", i) for i in range(3)},
-    **{f"c_omega_phi{i + 1}": ("c_omega_phi", i) for i in range(3)},
-}
-"""Element of a vector parameter -> (parameter, index)."""
-
+from dieseltwin.engine.parameters import ELEMENTS, HEALTH, EngineParameters
 
 FLAP_COEFFICIENTS: Mapping[str, str] = {"flap_m": "m", "flap_q": "q"}
 """Names among the numbers of a calibration -> coefficients of the exhaust flap's law."""
@@ -176,9 +165,9 @@ def engine_coefficients(base: EngineParameters, engine: EngineParameters) -> tup
 
 
 def scalar(engine: EngineParameters, name: str) -> float:
-    """One scalar of an engine by the name of `VECTORS` or of the parameter itself."""
-    if name in VECTORS:
-        vector, index = VECTORS[name]
+    """One scalar of an engine by the name of `ELEMENTS` or of the parameter itself."""
+    if name in ELEMENTS:
+        vector, index = ELEMENTS[name]
         return float(getattr(engine, vector)[index])
     return float(getattr(engine, name))
 
@@ -190,8 +179,8 @@ def with_scalars(engine: EngineParameters, values: Mapping[str, float]) -> Engin
     """
     changes: dict[str, Any] = {}
     for name, value in values.items():
-        if name in VECTORS:
-            vector, index = VECTORS[name]
+        if name in ELEMENTS:
+            vector, index = ELEMENTS[name]
             current = list(changes.get(vector, getattr(engine, vector)))
             current[index] = float(value)
             changes[vector] = tuple(current)

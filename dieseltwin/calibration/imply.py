@@ -22,7 +22,6 @@ from dieseltwin.calibration.local_errors import Foretold, LocalErrors
 from dieseltwin.calibration.outlying import FAR_OFF
 from dieseltwin.calibration.steady_model import IMPLIED, SteadyModel
 from dieseltwin.notes import Note, counted, listing
-from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.steady_points import STATES, SteadyPoints
 
 Array = NDArray[np.float64]
@@ -74,19 +73,15 @@ class Guess:
         return np.exp(_features(points, self.centre, self.spread) @ self.weights)
 
 
-def _inputs(points: SteadyPoints) -> Array:
-    return np.stack([points[name] for name in INPUTS], axis=1)
-
-
 def _features(points: SteadyPoints, centre: Array, spread: Array) -> Array:
-    z = (_inputs(points) - centre) / spread
+    z = (points.inputs() - centre) / spread
     pairs = [z[:, i] * z[:, j] for i in range(4) for j in range(i, 4)]
     return np.stack([np.ones(len(z)), *z.T, *pairs], axis=1)
 
 
 def guess_of(points: SteadyPoints) -> Guess:
     """The regression (a quadric in the four inputs, lightly ridged) of the measured states."""
-    u = _inputs(points)
+    u = points.inputs()
     centre, spread = u.mean(axis=0), np.maximum(u.std(axis=0), 1e-6)
     A = _features(points, centre, spread)
     y = np.log(np.maximum(points.states(), 1e-6))

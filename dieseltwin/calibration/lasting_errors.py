@@ -96,9 +96,7 @@ def _smooth(m: int) -> NDArray[np.bool_]:
 
 def _variables(points: SteadyPoints, model: SteadyModel, values: Mapping[str, float]) -> dict[str, NDArray[np.float64]]:
     """Arguments of the maps at the points as measured, (n,) each."""
-    states = points.states()
-    states = np.where(np.isfinite(states), states, np.nanmedian(states, axis=0))
-    quantities = model.relations(points, states, values).quantities
+    quantities = model.relations(points, points.states_filled(), values).quantities
     return law_variables(points, {name: np.asarray(v[0]) for name, v in quantities.items()})
 
 

@@ -109,7 +109,13 @@ def reading_covariance(model: SteadyModel, points: SteadyPoints, x: Array, value
         x: (n, 6) readings; sigma: (n, 6) or (6,) relative standard deviation of each [-].
     """
     J = state_jacobian(model, points, x, values)
-    C = np.einsum("nij,nj,nkj->nik", J, np.broadcast_to(sigma**2, x.shape), J)
+    return _carried(J, np.broadcast_to(sigma**2, x.shape))
+
+
+def _carried(J: Array, variance: Array) -> Array:
+    """Covariance (n, R, R) of the balances by slopes (n, R, 6) and variances (n, 6) of ln x. What the straight line
+    leaves out grows with the square of the noise carried."""
+    C = np.einsum("nij,nj,nkj->nik", J, variance, J)
     bent = np.einsum("nii->ni", C)
     return np.asarray(C + np.eye(C.shape[1]) * (CURVATURE * bent)[:, None, :] ** 2)
 
@@ -118,9 +124,7 @@ def balance_deviation(model: SteadyModel, points: SteadyPoints, values: Mapping[
                       errors: Array) -> Array:  # fmt: skip
     """What each balance may be off by, (n, R) [-]: the noise of its readings, large where pressures nearly agree, and
     its own errors (R,)."""
-    x = points.states()
-    known = np.isfinite(x)
-    x = np.where(known, x, np.nanmedian(x, axis=0))
+    known, x = np.isfinite(points.states()), points.states_filled()
     sigma = np.where(known, reading_noise(x), 0.0)
     noise = np.einsum("nii->ni", reading_covariance(model, points, x, values, sigma))
     return np.asarray(np.sqrt(noise + errors**2))
@@ -196,7 +200,7 @@ def estimate(
     values.update({c.name: float(t) for c, t in zip(coefficients, theta, strict=True)})
     measured = points.states()
     sigma = reading_noise(measured, noise)
-    x = np.where(np.isfinite(measured), measured, np.nanmedian(measured, axis=0))
+    x = points.states_filled()
     S = np.array([(discrepancy or {}).get(name, 0.02) for name in model.rows])
     least = np.array([(floors or {}).get(name, FLOOR) for name in model.rows])
     inflation, cost, change, solution = 1.0, np.inf, np.inf, None
@@ -250,9 +254,7 @@ def _linearised(model: SteadyModel, points: SteadyPoints, x: Array, measured: Ar
     known = np.isfinite(measured)
     variance = np.where(known, sigma**2, UNKNOWN**2)
     dx = np.where(known, np.log(np.where(known, measured, 1.0) / np.where(known, x, 1.0)), 0.0)
-    C = np.einsum("nij,nj,nkj->nik", J, variance, J)
-    bent = np.einsum("nii->ni", C)  # what the straight line leaves out grows with the square of the noise carried
-    C = C + np.eye(C.shape[1]) * (CURVATURE * bent)[:, None, :] ** 2 + np.diag(S**2)
+    C = _carried(J, variance) + np.diag(S**2)
     extra = np.array([name in ("T_im", "T_c", "p_es", "p_bc") for name in model.rows])
     C = C + np.diag(np.where(extra, 0.01**2, 0.0))
     whiten = np.linalg.inv(np.linalg.cholesky(C))
@@ -320,9 +322,7 @@ def log_density(model: SteadyModel, points: SteadyPoints, values: Mapping[str, f
     Args:
         errors: (R,) of the balances themselves, one standard deviation [-].
     """
-    x = points.states()
-    known = np.isfinite(x)
-    x = np.where(known, x, np.nanmedian(x, axis=0))
+    known, x = np.isfinite(points.states()), points.states_filled()
     r = np.clip(np.nan_to_num(model.relations(points, x, values).residual[0]), -FAR, FAR)
     sigma = np.where(known, reading_noise(x), UNKNOWN)
     root = np.linalg.cholesky(reading_covariance(model, points, x, values, sigma) + np.diag(errors**2))

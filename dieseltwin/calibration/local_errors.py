@@ -17,7 +17,6 @@ from scipy.optimize import minimize
 
 from dieseltwin.calibration.likelihood import reading_covariance, reading_noise
 from dieseltwin.calibration.steady_model import MAP_MODE, SENSOR_ERROR, SteadyModel
-from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.steady_points import SteadyPoints
 
 Array = NDArray[np.float64]
@@ -86,7 +85,7 @@ class LocalErrors:
 
     def residual(self, values: Mapping[str, float | Array]) -> Array:
         """At the n points, (lanes, n, R) [-]; 0 where it doesn't count."""
-        r = self.model.relations(self.points, _filled(self.points), values).residual
+        r = self.model.relations(self.points, self.points.states_filled(), values).residual
         return np.where(self.seen, np.clip(np.nan_to_num(r), -CLIP, CLIP), 0.0)
 
     def at(self, points: SteadyPoints) -> Foretold:
@@ -108,7 +107,7 @@ class LocalErrors:
         return Foretold(weights, variance, np.array([self.smoothness[row].own for row in rows]), self)
 
     def _places(self, points: SteadyPoints) -> Array:
-        return (np.stack([points[name] for name in INPUTS], axis=1) - self.centre) / self.spread
+        return (points.inputs() - self.centre) / self.spread
 
 
 def thinned(points: SteadyPoints) -> SteadyPoints:
@@ -133,7 +132,7 @@ def local_errors(
         smoothness: from a file; None: by the likelihood of the residuals.
     """
     model = replace(model, extra=())
-    x = _filled(points)
+    x = points.states_filled()
     r = model.relations(points, x, values).residual[0]
     measured = np.isfinite(points.states()).all(axis=1)
     seen = np.isfinite(r) & (np.abs(np.nan_to_num(r)) < FAR) & measured[:, None]
@@ -145,11 +144,6 @@ def local_errors(
         smoothness = {row: _smoothness(at[own], left[own, j], reading[own, j])
                       for j, row in enumerate(model.rows) for own in (seen[:, j],)}  # fmt: skip
     return LocalErrors(model, points, *places, smoothness, seen, reading)
-
-
-def _filled(points: SteadyPoints) -> Array:
-    x = points.states()
-    return np.where(np.isfinite(x), x, np.nanmedian(x, axis=0))
 
 
 def _smoothness(at: Array, r: Array, reading: Array) -> Smoothness:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -65,3 +65,18 @@ def log_ratio(measured: Array, predicted: Array) -> Array:
     middle = _middle(np.abs(measured)) if np.isfinite(measured).any() else 1.0
     floor = SMALL_FLOW * middle + 1e-9
     return np.log((np.maximum(measured, 0.0) + floor) / (np.maximum(predicted, 0.0) + floor))
+
+
+def cooled_charge(T_air: Any, T_0: Any, known: Mapping[str, Any], belief: Callable[[str], Any]) -> Any:
+    """Charge temperature [K]: air behind its cooler mixed with EGR behind its own, both of one heat capacity.
+
+    Args:
+        T_air: of the air, were nothing lost in its cooler [K].
+        T_0: ambient [K].
+        known: T_c, T_em [K], W_c, W_egr [kg/s].
+        belief: "charge_cooler_loss" [-], "egr_coolant" [K] and "egr_heating" [-] by name.
+    """
+    T_air = T_air + belief("charge_cooler_loss") * (known["T_c"] - T_0)
+    coolant = belief("egr_coolant")
+    T_egr = coolant + belief("egr_heating") * (known["T_em"] - coolant)
+    return T_air + known["W_egr"] / (known["W_c"] + known["W_egr"]) * (T_egr - T_air)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dieseltwin.calibration.coefficients import FLAP_COEFFICIENTS, WEAR
-from dieseltwin.calibration.relations import Relations, log_ratio, spread
+from dieseltwin.calibration.relations import Relations, cooled_charge, log_ratio, spread
 from dieseltwin.engine.binding import bind
 from dieseltwin.engine.effects import EFFECTS, effects_at
 from dieseltwin.engine.map_corrections import corrections_of, with_corrections_at
@@ -201,9 +201,9 @@ class SteadyModel:
             "exhaust_temperature": (T_em, T_em_model),
         }
         implied = {"p_es": p_es, "p_bc": p_bc, "T_im": T_im_model, "T_c": T_c}
+        volume = W_c * c.R_a * T_0 / (p_bc * c.wheel_volume * omega)  # flow coefficient (A.45)
         if WORK_ROW in self.active:
             psi = _eq.energy_transfer_coefficient(T_0, Pi_c, omega, c_c)
-            volume = W_c * c.R_a * T_0 / (p_bc * c.wheel_volume * omega)
             pairs[WORK_ROW] = (eta_c, 0.5 * psi / t.work_coefficient(volume, Pi_c))
         for name in self.extra:
             pairs[EXTRA_ROWS[name]] = (points[name], implied[EXTRA_ROWS[name]])
@@ -212,7 +212,7 @@ class SteadyModel:
         # The compressor's map is judged in its implicit form (A.46): solved for the flow, a flat speed line would
         # turn 1 % of pressure into 30 % of flow.
         psi = _eq.energy_transfer_coefficient(T_0, Pi_c, omega, c_c) - c.c_psi2
-        flow = W_c * c.R_a * T_0 / (p_bc * c.wheel_volume * omega * lost) - c.c_phi2
+        flow = volume / lost - c.c_phi2
         of_flow = _eq.ellipse_coefficient_phi(omega, c) * flow * flow
         ellipse = np.maximum(_eq.ellipse_coefficient_psi(omega, c) * psi * psi + of_flow, ELLIPSE_MIN)
         share = of_flow / ellipse + SHARE_OF_HEAD  # else a map of the head alone, blind to the flow, would fit best
@@ -346,14 +346,12 @@ class _Terms:
 
     def charge_temperature(self, T_im: Any, known: Mapping[str, Any], points: SteadyPoints) -> Any:
         """Charge temperature [K]; by the beliefs of `imply` the coolers' approach and coolant stand for a constant."""
-        T_0, T_em = points["t_amb_k"], known["T_em"]
+        T_0 = points["t_amb_k"]
         if COOLED_CHARGE in self.active:
             T_im = T_0 + self("cooler_approach")
         if COOLED_EGR not in self.active:
             return self.changed("T_im", T_im, known, points)
-        T_im = T_im + self("charge_cooler_loss") * (known["T_c"] - T_0)
-        T_egr = self("egr_coolant") + self("egr_heating") * (T_em - self("egr_coolant"))
-        return T_im + known["W_egr"] / (known["W_c"] + known["W_egr"]) * (T_egr - T_im)
+        return cooled_charge(T_im, T_0, known, self)
 
     def wall_heating(self, T_im: Any) -> Any:
         """Factor of eta_vol [-]: by belief the charge is heated by the walls."""

@@ -17,9 +17,9 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.special import ndtri, stdtrit
 
+from dieseltwin.engine.parameters import HEALTH, HEALTH_UNITS
 from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.states import INTERVAL, StateSamples, segment_states
-from dieseltwin.identification.unknowns import HEALTH, UNITS
 
 Array = NDArray[np.float64]
 
@@ -60,7 +60,7 @@ class ParameterSummary:
             "mean": _finite(self.mean),
             "std": _finite(self.std),
             "interval_90": None if self.interval_90 is None else [_finite(v) for v in self.interval_90],
-            "unit": UNITS[name],
+            "unit": HEALTH_UNITS[name],
             "bound": _finite(self.bound),
             "identifiable": bool(self.identifiable),
         }

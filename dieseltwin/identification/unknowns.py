@@ -12,11 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from dieseltwin.engine import HEALTH, EngineParameters
 from dieseltwin.errors import InputError
 
-__all__ = ["HEALTH", "SCALES", "UNITS", "health_of", "physical_columns", "start_centre",
+__all__ = ["HEALTH", "SCALES", "health_of", "physical_columns", "start_centre",
            "starts", "to_masked", "to_physical"]  # fmt: skip
-
-UNITS: dict[str, str] = {"A_egrmax": "m2", "A_vgtmax": "m2", "eta_sc": "-", "h_tot": "W/(m2 K)"}
-"""SI unit of each unknown parameter."""
 
 SCALES: NDArray[np.float64] = np.array([1e-4, 1e-4, 1.0, 10.0])
 """Scaling that follows the mask: exp, exp, softplus, exp (paper, table of true values of parameters)."""

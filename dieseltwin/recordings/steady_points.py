@@ -124,6 +124,15 @@ class SteadyPoints:
             np.stack([self.columns.get(name, np.full(self.size, np.nan)) for name in STATES], axis=1), LEAST
         )
 
+    def states_filled(self) -> np.ndarray:
+        """`states`, (n, 6), with the median of all points where one wasn't measured."""
+        states = self.states()
+        return np.where(np.isfinite(states), states, np.nanmedian(states, axis=0))
+
+    def inputs(self) -> np.ndarray:
+        """(n, 4) in the order of `INPUTS` [rpm, mg/cycle, %, %]."""
+        return np.stack([self[name] for name in INPUTS], axis=1)
+
     def take(self, chosen: np.ndarray) -> SteadyPoints:
         """The points of a mask or index array."""
         columns = {name: values[chosen] for name, values in self.columns.items()}
