@@ -78,10 +78,8 @@ def label_of(item: Circumstance) -> str:
 
 def _covariance(at: Linearisation) -> Array:
     """Of the nuisances (K, K) beside parameters, effects and local states, in standard deviations of their priors."""
-    columns = at.metric.without_local(np.concatenate([at.jacobian, cast(Array, at.nuisance_response)]))
-    precision = np.concatenate([np.maximum(at.precision, 1e-30), np.ones(len(columns) - len(at.jacobian))])
     known = len(at.jacobian)
-    return np.asarray(np.linalg.inv(columns @ columns.T + np.diag(precision))[known:, known:])
+    return np.asarray(np.linalg.inv(at.joint()[1])[known:, known:])
 
 
 def circumstance_nuisances(twin: Twin, lanes: Lanes, simulated: Array, width: int | None = None) -> list[Nuisance]:

@@ -218,6 +218,14 @@ class Linearisation:
         step = self.covariance @ gradient
         return step, float(gradient @ step)
 
+    def joint(self) -> tuple[Array, Array]:
+        """Columns (P + m + K, rows) of parameters, effects and nuisances beside initial states, and their information
+        with their priors: nuisances are unknowns like the others here."""
+        own = self.nuisance_response
+        columns = self.metric.without_local(self.jacobian if own is None else np.concatenate([self.jacobian, own]))
+        precision = np.append(np.maximum(self.precision, 1e-30), np.ones(len(columns) - len(self.jacobian)))
+        return columns, columns @ columns.T + np.diag(precision)
+
     def _offset(self, fit: Fit) -> Array:
         """(P + m,) from a fit's parameters to the centres of their priors; effects have none."""
         centres = np.array([p.value for p in self.twin.parameters])

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from dieseltwin.discovery.likelihood.fit import Linearisation
-from dieseltwin.discovery.twins.interface import Array, Twin, repeated
+from dieseltwin.discovery.twins.interface import Array, Lanes, Twin, repeated
 from dieseltwin.least_squares import symmetric_root
 
 _DRAWS = 4000  # of the parametric bootstrap; beyond their reach the tail of chi-square is taken
@@ -38,19 +38,21 @@ class Scored:
     gain: float
 
 
-def effect_responses(
-    twin: Twin, at: Linearisation, wanted: Sequence[tuple[str, float]]
-) -> Array:
+def effect_responses(twin: Twin, at: Linearisation, wanted: Sequence[tuple[str, float]]) -> Array:
     """Responses (K, n, C) per unit of effects added to a fit, as secants at the given sizes."""
+    return effects_beside(twin, at.fit.lanes(), at.simulated, wanted)
+
+
+def effects_beside(twin: Twin, base: Lanes, simulated: Array, wanted: Sequence[tuple[str, float]]) -> Array:
+    """The same next to one lane, whose readings (n, C) are known."""
     count = len(wanted)
-    base = at.fit.lanes()
     names = list(dict.fromkeys([*base.magnitudes, *(name for name, _ in wanted)]))
     magnitudes = {name: np.full(count, float(base.magnitudes.get(name, np.zeros(1))[0])) for name in names}
     for k, (name, size) in enumerate(wanted):
         magnitudes[name][k] += size
     lanes = replace(repeated(base, count), magnitudes=magnitudes)
     sizes = np.array([size for _, size in wanted])
-    return (twin.simulate(lanes) - at.simulated) / sizes[:, None, None]
+    return (twin.simulate(lanes) - simulated) / sizes[:, None, None]
 
 
 def secant_sizes(twin: Twin, names: Sequence[str]) -> list[tuple[str, float]]:

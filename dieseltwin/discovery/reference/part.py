@@ -10,10 +10,10 @@ from dieseltwin.discovery.likelihood.between_rows import noise_beside, scatter_a
 from dieseltwin.discovery.likelihood.fit import bounded, first_fit, fit_fully, parameter_lanes
 from dieseltwin.discovery.likelihood.learned import map_columns, running_away
 from dieseltwin.discovery.likelihood.metric import Metric, WhitenedNuisances, Whitening
-from dieseltwin.discovery.likelihood.score import secant_sizes
+from dieseltwin.discovery.likelihood.score import effects_beside, secant_sizes
 from dieseltwin.discovery.reference.conditions import Clock, Conditions, recorded_twin
 from dieseltwin.discovery.search.preparation import split_growing
-from dieseltwin.discovery.twins.interface import Array, Lanes, rows_of, single
+from dieseltwin.discovery.twins.interface import Array, rows_of, single
 from dieseltwin.engine import MEASURED, EngineParameters
 from dieseltwin.learning.belief import GAINS_AT, HEALTH_AT, MAPS_AT, OFFSETS_AT, Belief
 from dieseltwin.least_squares import symmetric_root
@@ -244,16 +244,8 @@ class Part:
         twin = self.twin.with_coefficients(values[MAPS_AT])
         base = replace(first_fit(twin), parameters=values[HEALTH_AT], local=self.local).lanes()
         wanted = secant_sizes(twin, list(twin.hypotheses))
-        magnitudes = {name: np.zeros(len(wanted)) for name, _ in wanted}
-        for k, (name, size) in enumerate(wanted):
-            magnitudes[name][k] = size
-        lanes = Lanes(
-            np.repeat(base.parameters, len(wanted), axis=0), np.repeat(base.local, len(wanted), axis=0), magnitudes
-        )
-        sizes = np.array([size for _, size in wanted])
         factor = 1.0 + values[GAINS_AT][self.at]
-        responses = (twin.simulate(lanes) - twin.simulate(base)) * factor / sizes[:, None, None]
-        rows = here.metric.project(responses)
+        rows = here.metric.project(factor * effects_beside(twin, base, twin.simulate(base)[0], wanted))
         return {
             key: (float(row @ projected), float(row @ row), here.projected @ row)
             for key, row in zip(wanted, rows, strict=True)

@@ -99,10 +99,8 @@ def _marginal(settled: Settled, rest: Sequence[Circumstance]) -> Callable[[Seque
     at = settled.at
     if at.nuisance_response is None:
         return lambda some: 0.0
-    columns = at.metric.without_local(np.concatenate([at.jacobian, at.nuisance_response]))
-    target = at.metric.without_local(np.nan_to_num(at.residual)[None])[0]
-    precision = np.concatenate([np.maximum(at.precision, 1e-30), np.ones(len(at.nuisance_response))])
-    gram, push = columns @ columns.T + np.diag(precision), columns @ target
+    columns, gram = at.joint()
+    push = columns @ at.metric.without_local(np.nan_to_num(at.residual)[None])[0]
     first = len(gram) - len(rest)
 
     def evidence(some: Sequence[int]) -> float:

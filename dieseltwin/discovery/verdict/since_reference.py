@@ -24,9 +24,7 @@ def since_reference(at: Linearisation, twin: Twin, apart: Array) -> tuple[Array,
     if belief is None or at.loadings is None or at.nuisance_response is None:
         return None
     known, count = len(at.jacobian), len(twin.parameters)
-    columns = at.metric.without_local(np.concatenate([at.jacobian, at.nuisance_response]))
-    precision = np.concatenate([at.precision, np.ones(len(at.loadings))])
-    covariance = np.linalg.inv(columns @ columns.T + np.diag(np.maximum(precision, 1e-30)))
+    covariance = np.linalg.inv(at.joint()[1])
     seen = at.loadings[:, HEALTH_AT]
     unseen = np.diag(belief.covariance[HEALTH_AT, HEALTH_AT] - seen.T @ seen)  # directions that no reading here tells
     then = belief.health + at.metric.nuisance_estimate(np.nan_to_num(at.residual)) @ seen
