@@ -118,10 +118,15 @@ def _tables(b: Blocks, kept: Bool, like: Mapping[str, _Balance] | None = None) -
     cyl_prior = tensor_roughness(sizes[0], sizes[1]) / BEND**2 + np.eye(cyl.shape[1]) / REACH**2
     reach = np.concatenate([np.full(sizes[2], 10.0 * REACH), np.full(sizes[3], SUMMAND_REACH)])
     th_prior = sum_roughness(sizes[2], sizes[3]) / BEND**2 + np.diag(1.0 / reach**2)
-    return {
+    tables = {
         "cylinder": _Balance(b.cylinder(b.W_af), cyl, cyl_prior, cyl_knots),
         "throttle": _Balance(b.throttle(b.W_af), th, th_prior, th_knots),
     }
+    for name, table in tables.items():
+        if lost := int(np.sum(~np.isfinite(table.y[kept]))):
+            raise InputError("calibration", f"{lost} s without a {name}'s balance", "a running engine in every second",
+                             "leave out rows in which the engine stands")  # fmt: skip
+    return tables
 
 
 def _held_out(t: _Balance, scale: Array, kept: Bool, fold: NDArray[np.int64]) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -171,6 +172,14 @@ def test_a_reference_in_which_nothing_moves_is_refused(record: Recorder, column:
     still = read_petrol(table.assign(**{column: float(table[column].median())})).signals
     with pytest.raises(InputError, match=f"{column.lower()}: got the same reading"):
         fit_maps(still, PetrolParameters())
+
+
+def test_signals_of_a_standing_engine_are_refused(record: Recorder) -> None:
+    """The reader leaves such rows out; signals from elsewhere may hold them."""
+    s = record(1, 900.0).signals
+    standing = replace(s, omega_e=np.where((s.time_s >= 300.0) & (s.time_s < 305.0), 0.0, s.omega_e))
+    with np.errstate(divide="ignore"), pytest.raises(InputError, match="5 s without a cylinder's balance"):
+        fit_maps(standing, PetrolParameters())
 
 
 def test_a_throttle_that_reads_below_nothing_is_shut(record: Recorder, engine: PetrolParameters) -> None:
