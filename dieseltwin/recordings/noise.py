@@ -170,9 +170,7 @@ def cut_offs(measured: Array) -> dict[int, CutOff]:
     return {j: cut for j, values in enumerate(measured.T) if (cut := cut_off(values)) is not None}
 
 
-def estimate_noise(
-    measured: Array, breaks: np.ndarray | None = None, floor: Array | None = None, *, explained: Array | None = None
-) -> Noise:
+def estimate_noise(measured: Array, breaks: np.ndarray | None = None, *, explained: Array | None = None) -> Noise:
     """Standard deviation and AR(1) correlation of each channel from the upper part of its spectrum.
 
     A channel that is read in every second row or less often is judged by its own readings, one after another; they are
@@ -184,7 +182,6 @@ def estimate_noise(
     Args:
         measured: (n, C) readings, NaN where missing.
         breaks: first rows of pieces that don't continue the one before.
-        floor: (C,) smallest believed sigma.
         explained: (n, C) a model's readings, or None. Only what is faster than `_LOWEST_EXPLAINED` is used of the
             difference: a model that lacks physics errs slowly, and correlation can't be told from the raw signal
             (its standard deviation is 0.14 from second differences of 3,000 rows).
@@ -199,8 +196,6 @@ def estimate_noise(
         kept = np.where(cut[j].near, np.nan, values) if j in cut else values
         sigma[j], rho[j] = _noise_of(kept, breaks, None if explained is None else explained[:, j])
     sigma = np.fmax(sigma, [STEP_TO_STD * number_step(values) or np.nan for values in measured.T])
-    if floor is not None:
-        sigma = np.fmax(sigma, floor)
     return Noise(sigma, rho)
 
 

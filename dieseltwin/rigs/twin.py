@@ -122,9 +122,8 @@ class RigTwin(SimpleTwin):
         twin.since_s = onset_s
         return twin
 
-    def noise(self, floor: Array | None = None) -> Noise:
+    def noise(self) -> Noise:
         """As `KnownErrors.noise`: the size of the misfit, white."""
-        del floor
         return Noise(self.misfit, np.zeros(len(self.channels)))
 
     def whitening(self) -> Whitening:

@@ -158,9 +158,9 @@ class SimpleTwin(TwinDefaults):
         self._piece_rows = pieces.rows_of(self._rows)
         self._begins: Array | None = None  # of the pieces of the last run, (W, P, S)
 
-    def noise(self, floor: Array | None = None) -> Noise:
+    def noise(self) -> Noise:
         """Of the recording, from differences."""
-        return estimate_noise(self.measured, self.starts, floor)
+        return estimate_noise(self.measured, self.starts)
 
     def first_local(self) -> Array:
         """First guess of the windows' initial states from the readings, (W, S)."""
