@@ -17,10 +17,12 @@ import numba
 import numpy as np
 from numba.core.registry import CPUDispatcher
 
-from dieseltwin.kernel_cache import kernel_folder
+from dieseltwin.kernel_cache import alone, kernel_folder
 
 _PACKAGE = Path(__file__).parent
-_SOURCES = (*sorted((_PACKAGE / "engine").rglob("*.py")), _PACKAGE / "sensors.py")
+_EQUATIONS = ("engine/**/*.py", "sensors.py", "petrol/*.py", "challenge/plant*.py", "challenge/actuators.py")
+"""Files whose functions and numbers kernels of other files hold."""
+_SOURCES = tuple(file for pattern in _EQUATIONS for file in sorted(_PACKAGE.glob(pattern)))
 _FOLDER = kernel_folder(_SOURCES, (numba.__version__, np.__version__))
 numba.config.CACHE_DIR = str(_FOLDER)  # type: ignore[attr-defined]  # read when a function is declared to be compiled
 
@@ -53,7 +55,21 @@ def inner(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     return compiled
 
 
+class Kernel(CPUDispatcher):  # type: ignore[misc]
+    """A function that one process compiles while others that want it wait, and find what it kept."""
+
+    def compile(self, sig: Any) -> Any:
+        """As numba's: from the folder of kernels, else compiled and kept there."""
+        with alone(_FOLDER / f"{self.py_func.__module__}.{self.py_func.__qualname__}.lock"):
+            return super().compile(sig)
+
+
 def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """`numba.njit` for a function that is called from Python; its machine code is kept in the project's folder."""
-    made: Callable[[Callable[..., Any]], Any] = numba.njit(cache=True, **options)
-    return made
+
+    def compiled(function: Callable[..., Any]) -> Any:
+        made = numba.njit(cache=True, **options)(function)
+        made.__class__ = Kernel
+        return made
+
+    return compiled

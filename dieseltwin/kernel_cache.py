@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import fcntl
 import hashlib
 import json
 import os
@@ -10,7 +11,7 @@ import shutil
 import stat
 import tempfile
 from collections.abc import Iterable, Iterator
-from contextlib import suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from dieseltwin.atomic import write_json
@@ -89,6 +90,16 @@ def drop_broken(folder: Path) -> None:
     if found != known:
         with suppress(InputError):  # a full disk: no kernel can be kept there either
             write_json(folder / _CHECKSUMS, found)
+
+
+@contextmanager
+def alone(lock: Path) -> Iterator[None]:
+    """While no other process is inside with the same file; without waiting where there can't be one. A process that is
+    killed lets go of it."""
+    with ExitStack() as opened:
+        with suppress(OSError):
+            fcntl.flock(opened.enter_context(lock.open("w")), fcntl.LOCK_EX)
+        yield
 
 
 def _checksums(path: Path) -> dict[str, list[object]]:

@@ -24,22 +24,16 @@ def _clean_problems(field: Path, settings: dict[str, Any]) -> list[Any]:
 
     import numpy as np
 
-    from dieseltwin.identification.problem import NoiseLevels
     from dieseltwin.paper.datasets import MEASURED
-    from dieseltwin.sensors import relative_noise
-    from dieseltwin.settings.params import NoiseConfig
     from tasks.identify import problems_of
 
     known, clean = problems_of(field, settings)
-    noise = NoiseLevels.from_signals(
-        clean[list(MEASURED)].to_numpy(), relative=relative_noise(NoiseConfig(**settings["noise"]))
-    )
     rows = np.searchsorted(clean["time_s"], [problem.t0_s - 1e-6 for problem in known])
     made = []
     for problem, row in zip(known, rows, strict=True):
         readings = clean[list(MEASURED)].to_numpy()[row : row + len(problem.time_s)].copy()
         readings[np.isnan(problem.measured).all(axis=0)[None].repeat(len(readings), 0)] = np.nan
-        made.append(replace(problem, measured=readings, sigma=noise.sigma, noise_draws=None))
+        made.append(replace(problem, measured=readings, noise_draws=None))
     return made
 
 

@@ -39,7 +39,7 @@ def problems_of(field: Path, settings: dict[str, Any]) -> tuple[list[Any], Any]:
     recording = read_recording(field / "case_v_noisy.parquet", engine=parameters)
     clean = pd.read_parquet(field / "case_v_clean.parquet")
     noise = NoiseLevels.from_signals(
-        np.column_stack([recording.columns[name] for name in MEASURED]),
+        clean[list(MEASURED)].to_numpy(),  # whole, as the protocol has it
         relative=relative_noise(NoiseConfig(**settings["noise"])),
     )
     truth = {name: float(clean[name].iloc[0]) for name in HEALTH}

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from dieseltwin import kernel_cache
-from dieseltwin.kernel_cache import drop_broken, kernel_folder
+from dieseltwin.kernel_cache import alone, drop_broken, kernel_folder
 
 SOURCES = [Path(kernel_cache.__file__)]
 
@@ -89,3 +91,21 @@ def test_a_kernel_that_a_disk_has_changed_goes_and_one_that_was_compiled_anew_st
     os.utime(renewed, ns=(date + 1, date + 1))
     drop_broken(tmp_path)
     assert [path.name for path in tmp_path.glob("*.nb?")] == ["renewed.nbc"]
+
+
+def test_one_process_compiles_while_another_waits(tmp_path: Path):
+    lock = tmp_path / "kernel.lock"
+    waits = """
+import sys
+from pathlib import Path
+from dieseltwin.kernel_cache import alone
+with alone(Path(sys.argv[1])):
+    print("in")
+"""
+    with alone(lock):
+        other = subprocess.Popen([sys.executable, "-c", waits, str(lock)], stdout=subprocess.PIPE, text=True)
+        with pytest.raises(subprocess.TimeoutExpired):
+            other.wait(1.0)
+    assert other.communicate(timeout=20.0)[0] == "in\n"
+    with alone(tmp_path / "no" / "folder" / "kernel.lock"):
+        pass  # where nothing can be kept, nobody is waited for
