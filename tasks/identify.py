@@ -28,9 +28,8 @@ def problems_of(field: Path, settings: dict[str, Any]) -> tuple[list[Any], Any]:
     import pandas as pd
 
     from dieseltwin.identification.problem import PAPER_CHANNELS, NoiseLevels, problems_from_recording
-    from dieseltwin.paper.datasets import HEALTH, MEASURED, laboratory_parameters
+    from dieseltwin.paper.datasets import HEALTH, laboratory_parameters, noise_sigma
     from dieseltwin.recordings.reader import read_recording
-    from dieseltwin.sensors import relative_noise
     from dieseltwin.settings.params import EngineConfig, NoiseConfig
     from dieseltwin.symbols import STATES
 
@@ -38,10 +37,7 @@ def problems_of(field: Path, settings: dict[str, Any]) -> tuple[list[Any], Any]:
     parameters = laboratory_parameters(EngineConfig(**settings["engine"]))
     recording = read_recording(field / "case_v_noisy.parquet", engine=parameters)
     clean = pd.read_parquet(field / "case_v_clean.parquet")
-    noise = NoiseLevels.from_signals(
-        clean[list(MEASURED)].to_numpy(),  # whole, as the protocol has it
-        relative=relative_noise(NoiseConfig(**settings["noise"])),
-    )
+    noise = NoiseLevels(noise_sigma(clean, NoiseConfig(**settings["noise"])))
     truth = {name: float(clean[name].iloc[0]) for name in HEALTH}
     problems = problems_from_recording(
         recording, parameters, noise=noise, duration_s=config.segment_s, channels=PAPER_CHANNELS, truth=truth
