@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import replace
+
 import numpy as np
 
 from dieseltwin.challenge.map_errors import MapErrors
 from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, first_fit, fit_fully, settle_local
 from dieseltwin.discovery.likelihood.metric import Whitening
-from dieseltwin.discovery.likelihood.score import effect_responses, score, secant_sizes
+from dieseltwin.discovery.likelihood.score import effects_beside, score, secant_sizes
 from dieseltwin.discovery.search.preparation import split_growing, tolerance_responses
 from dieseltwin.discovery.twins.diesel import MAP_TOLERANCE, EngineTwin
 from dieseltwin.engine import HEALTH, EngineParameters
@@ -31,6 +34,14 @@ def _settled(twin: EngineTwin, noise: Noise, fit: Fit) -> Linearisation:
     if cut is not None:
         at = Linearisation(twin, Whitening.of(twin.measured, noise, twin.starts), cut)
     return settle_local(at, rounds=4)
+
+
+def _schedules(twin: EngineTwin, terms: Iterable[Term]) -> dict[str, np.ndarray]:
+    """Share of its magnitude that each term has at the twin's samples, (n,); those that always act aren't named."""
+    conditions = dict(twin.conditions)
+    return {
+        t.effect: Limited.factor(t, twin.recording_time_s, twin.start_s, conditions) for t in terms if not t.always
+    }
 
 
 def held_out_nll(engine: EngineParameters, recording: Recording) -> float:
@@ -65,12 +76,7 @@ def fit_oracle(
         The engine with the refitted values, terms included.
     """
     twin = EngineTwin(recording, engine, map_tolerance=map_tolerance)
-    schedules = {
-        t.effect: Limited.factor(t, twin.recording_time_s, twin.start_s, dict(twin.conditions))
-        for t in terms
-        if t.onset_s is not None or t.region is not None
-    }
-    candidate = Candidate(tuple(t.effect for t in terms), schedules)
+    candidate = Candidate(tuple(t.effect for t in terms), _schedules(twin, terms))
     noise = estimate_noise(twin.measured)
     rough = _settled(twin, noise, first_fit(twin, candidate, [t.magnitude for t in terms]))
     noise = estimate_noise(twin.measured, explained=rough.simulated)
@@ -107,19 +113,27 @@ def separability(
     """D of every other catalogue effect at the truth: what it would leave of the true effect's evidence.
 
     D = lambda (1 - cos^2), lambda the expected gain of the true effect, cos between the two responses after health
-    parameters, initial states and tolerances are taken out (docs/discovery.md).
+    parameters, initial states and tolerances are taken out (docs/discovery.md). The true effect acts when and where
+    its onset and region let it; another effect may act all along or just then, whatever leaves less.
     """
     twin = EngineTwin(recording, engine, map_tolerance=map_tolerance)
+    schedules = _schedules(twin, [term])
     noise = estimate_noise(twin.measured)
-    rough = _settled(twin, noise, first_fit(twin, Candidate((term.effect,)), [term.magnitude]))
+    rough = _settled(twin, noise, first_fit(twin, Candidate((term.effect,), schedules), [term.magnitude]))
     noise = estimate_noise(twin.measured, explained=rough.simulated)
     whitening = Whitening.of(twin.measured, noise, twin.starts)
     bare = Linearisation(twin, whitening, first_fit(twin))
     tolerances = tolerance_responses(twin, bare, default_search().driving)
     at = Linearisation(twin, whitening, bare.fit, None, tolerances)
     wanted = secant_sizes(twin, [name for name in twin.hypotheses if name != term.effect])
-    own = [(term.effect, term.magnitude)]
-    items = score(at, [*own, *wanted], effect_responses(twin, at, [*own, *wanted]))
+    tried = [(term.effect, term.magnitude), *wanted]
+    lanes = at.fit.lanes()
+    responses = effects_beside(twin, replace(lanes, schedules=schedules), at.simulated, tried)
+    if schedules:
+        beside = dict.fromkeys((name for name, _ in wanted), schedules[term.effect])
+        alike = effects_beside(twin, replace(lanes, schedules=beside), at.simulated, wanted)
+        tried, responses = [*tried, *wanted], np.concatenate([responses, alike])
+    items = score(at, tried, responses)
     truth, others = items[0], items[1:]
     strength = float(truth.projected @ truth.projected) * term.magnitude**2
     distances: dict[str, float] = {}
