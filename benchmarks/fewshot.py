@@ -23,18 +23,13 @@ from identification import benchmark_problems
 
 from dieseltwin.engine import HEALTH, actuate, we2011
 from dieseltwin.identification.identify import identify_segments
+from dieseltwin.paper import printed
+from dieseltwin.paper.cells import cell_rmse
 from dieseltwin.paper.loops.few_shot_adam import train
 from dieseltwin.paper.loops.few_shot_program import METHOD, draw_lane, make_program
 from dieseltwin.settings.params import StartConfig, load_params
 
-PAPER_NOISY = (
-    ((0.9699, 0.0653), (1.0190, 0.0056), (0.9913, 0.0094), (0.9568, 0.0379)),
-    ((1.0255, 0.0748), (0.9992, 0.0092), (0.9888, 0.0230), (0.9445, 0.1749)),
-    ((0.5800, 0.0568), (0.9520, 0.0165), (0.9524, 0.0429), (0.9087, 0.2365)),
-    ((0.9972, 0.0246), (1.0139, 0.0081), (0.9554, 0.0276), (0.9114, 0.0721)),
-    ((0.9525, 0.0998), (0.9942, 0.0093), (0.9849, 0.0122), (0.9519, 0.0390)),
-)
-"""Paper, table of few-shot estimates, noisy data: mean and standard deviation of estimate over truth."""
+PAPER_NOISY = printed.PARAMETER_TABLES[printed.FEW_SHOT]["noisy-301"]
 
 
 def networks(models: Path | None, maps: str) -> dict[str, Any]:
@@ -62,7 +57,7 @@ def accuracy(arguments: argparse.Namespace) -> None:
     all_ours, all_paper = [], []
     for segment, paper in zip(found.segments, PAPER_NOISY, strict=True):
         ratio = segment.parameters / truth
-        ours = np.sqrt((ratio.mean(axis=0) - 1.0) ** 2 + ratio.std(axis=0) ** 2)
+        ours = np.array([cell_rmse(column) for column in ratio.T])
         theirs = np.array([np.hypot(mean - 1.0, std) for mean, std in paper])
         all_ours.append(ours)
         all_paper.append(theirs)

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pandas as pd
 from markupsafe import Markup
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from dieseltwin.paper import printed
+from dieseltwin.paper.cells import cell_rmse
+from dieseltwin.paper.evaluation.ensembles import diverged
 from dieseltwin.report import captions, quantities, style
 from dieseltwin.report.page import Table, marked, swatched
-from dieseltwin.report.results import PARAMETERS, Results
+from dieseltwin.report.results import PARAMETERS, MethodResult, Results
 from dieseltwin.report.segment_axis import WIDTH_IN
-from dieseltwin.report.statistics import error_of_runs
 
 RUN_TIMES = captions.line("""
     Wall seconds per run (one start on one 60 s segment): total wall time of the batch divided by its runs. One step of
@@ -23,9 +25,9 @@ RUN_TIMES = captions.line("""
 """)
 
 BESIDE_PAPER = captions.line("""
-    Error of each cell in % of the truth, sqrt((mean − truth)² + std²) over the runs; paper: few-shot table, noisy
-    data, 301 points, its own driving and starts near the truth. Cells in brackets are not identifiable here and not
-    scored.
+    Error of each cell in % of the truth, sqrt((mean − truth)² + std²) over the runs that did not diverge; paper:
+    few-shot table, noisy data, 301 points, its own driving and starts near the truth. Cells in brackets are not
+    identifiable here and not scored.
 """)
 
 
@@ -69,7 +71,7 @@ def run_times(results: Results) -> style.ReportFigure:
 def paper_table(results: Results) -> pd.DataFrame:
     """Root-mean-square error of each cell beside the paper's noisy few-shot table, in units of the truth.
 
-    A cell is one parameter in one minute, its error sqrt((mean - 1)^2 + std^2) over the runs, for the paper and for us.
+    A cell is one parameter in one minute, its error `cells.cell_rmse` over the runs that did not diverge.
     Columns: minute, parameter, paper, one per method, identifiable (by every method). Empty without truth or where
     the segments are not the paper's five minutes.
     """
@@ -94,10 +96,25 @@ def paper_table(results: Results) -> pd.DataFrame:
             for method, place in zip(results.methods, places, strict=True):
                 if place is None:
                     continue
-                row[method.method] = error_of_runs(method, place, parameter, truth) / truth
+                row[method.method] = cell_rmse(_ratios(results, method, place)[parameter].to_numpy())
                 flags.append(method.segments[place].parameters[parameter].identifiable)
             rows.append({**row, "identifiable": all(flags)})
     return pd.DataFrame(rows)
+
+
+def _ratios(results: Results, method: MethodResult, segment: int) -> pd.DataFrame:
+    """Estimate over truth [-] of one segment's runs that did not diverge, a row a run, a column a parameter.
+
+    Runs that did not converge count: the paper's tables have no such choice. Without runs the segment's own estimate.
+    """
+    truth = np.array([results.true_value(name) for name in PARAMETERS])
+    own = method.segments[segment].parameters
+    runs = method.runs[method.runs["segment"] == segment]
+    if runs.empty:
+        return pd.DataFrame([[own[name].mean for name in PARAMETERS] / truth], columns=PARAMETERS)
+    values = runs.pivot(index="run", columns="parameter", values="value")[list(PARAMETERS)]
+    bound = np.array([0.0 if own[name].identifiable else np.inf for name in PARAMETERS])
+    return values[~diverged(values.to_numpy(dtype=float), truth, bound)] / truth
 
 
 def paper_rows(results: Results) -> tuple[Table, ...]:

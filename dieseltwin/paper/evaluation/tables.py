@@ -24,9 +24,11 @@ from scipy import stats
 from dieseltwin.errors import InputError
 from dieseltwin.identification.bound import IDENTIFIABLE_BELOW
 from dieseltwin.paper import printed
+from dieseltwin.paper.cells import cell_rmse
 
 BOUND_SCORED = 0.10
-"""Relative bound below which a cell is scored (issue: "cells with a bound below 10 %")."""
+"""Relative bound below which a cell is scored [-]. Between this and 25 % a cell can be told, but so weakly that
+the runs' noise says more than the method: such cells are shown and not scored."""
 CONFIDENCE = 0.95
 """Of the bootstrap intervals."""
 POINTS = 12
@@ -86,14 +88,6 @@ def minute_of(t0_s: float, t1_s: float) -> str:
     return f"{t0_s / 60:.4g}-{t1_s / 60:.4g}"
 
 
-def _rmse(ratios: NDArray[np.float64]) -> float:
-    """sqrt((mean - 1)^2 + std^2); one member has no spread."""
-    if not len(ratios):
-        return math.nan
-    spread = float(np.std(ratios, ddof=1)) if len(ratios) > 1 else 0.0
-    return math.hypot(float(np.mean(ratios)) - 1.0, spread)
-
-
 def cells(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
     """One row for each variant, method, case, minute and parameter.
 
@@ -121,7 +115,7 @@ def cells(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
                     "parameter": parameter,
                     "mean": float(np.mean(ratios)) if len(ratios) else math.nan,
                     "std": float(np.std(ratios, ddof=1)) if len(ratios) > 1 else math.nan,
-                    "rmse": _rmse(ratios),
+                    "rmse": cell_rmse(ratios),
                     "members": len(part),
                     "converged": int(part["converged"].sum()),
                     "diverged": int(part["diverged"].sum()),
