@@ -105,7 +105,8 @@ def _write_case(
         _write_csv(frame, out / name)
         references.append({"recording": name, "sha256": file_sha256(out / name)})
     _write_csv(case.held_out, sealed / f"{plan.name}_held_out.csv")
-    with atomic_path(sealed / f"{plan.name}_held_out_clean.parquet") as temporary:
+    clean = sealed / f"{plan.name}_held_out_clean.parquet"
+    with atomic_path(clean) as temporary:
         pd.DataFrame(case.held_out_clean.columns).to_parquet(temporary, index=False)
     answers_hash = write_answers(sealed, plan.name, case.answers, salt)
     return {
@@ -114,6 +115,7 @@ def _write_case(
         "recording_sha256": file_sha256(folder / "recording.csv"), "withhold": list(plan.withhold),
         "answers_salted_sha256": answers_hash,
         "held_out_salted_sha256": salted_sha256(salt, (sealed / f"{plan.name}_held_out.csv").read_bytes()),
+        "held_out_clean_salted_sha256": salted_sha256(salt, clean.read_bytes()),
     }  # fmt: skip
 
 
@@ -121,11 +123,12 @@ def _write_petrol(
     number: int, *, out: Path, seed: int, healthy: bool, salt: bytes, references: Sequence[Mapping[str, str]]
 ) -> dict[str, Any]:
     frame, answers = draw_petrol(number, seed, healthy=healthy)
-    return _write_drawn(frame, answers, out, salt, references)
+    return _write_drawn(frame, {**answers, "seed": seed}, out, salt, references)
 
 
 def _write_points(number: int, *, out: Path, seed: int, healthy: bool, salt: bytes) -> dict[str, Any]:
     frame, reference, answers = draw_points(number, seed, healthy=healthy)
+    answers["seed"] = seed
     if reference is None:
         return _write_drawn(frame, answers, out, salt, [])
     name = f"{answers['case']}/reference.csv"

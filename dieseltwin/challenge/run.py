@@ -44,6 +44,13 @@ Discover = Callable[..., Any]
 """(recording, engine, withhold=, map_tolerance=, seed=) -> `curves.Discovery`."""
 
 
+class ManifestReference(BaseModel):
+    """A recording of the engine when it was well: its file in the benchmark's folder, and its hash."""
+
+    recording: str = Field(pattern=r"^([A-Za-z0-9_-]{1,100}/)?[A-Za-z0-9_.-]{1,100}$")
+    sha256: str
+
+
 class ManifestCase(BaseModel):
     """What a manifest says of one case: names and hashes; the recording lies in the benchmark's folder."""
 
@@ -52,6 +59,8 @@ class ManifestCase(BaseModel):
     recording_sha256: str
     answers_salted_sha256: str
     held_out_salted_sha256: str | None = None
+    held_out_clean_salted_sha256: str | None = None
+    references: list[ManifestReference] = []
     withhold: list[str]
 
 
@@ -62,6 +71,7 @@ class Manifest(BaseModel):
     tier: Tier
     sensors: Literal[5, 6] | None
     duration_s: float | None = Field(gt=0, allow_inf_nan=False)
+    seed_sha256: str | None = None
     cases: list[ManifestCase]
 
 
@@ -151,11 +161,12 @@ def run_case(folder: Path, entry: Mapping[str, Any], *, map_tolerance: float, di
     """Run the tool on one case and write its result folder whole or not at all; returns a note of what was said."""
     path = folder / entry["recording"]
     check_file(path, entry["recording_sha256"])
+    healthy = _checked_references(folder, entry)
     _reset_peak()
     start = time.perf_counter()
     try:
         recording = read_recording(path)
-        references = [read_recording(folder / item["recording"]) for item in entry.get("references", ())]
+        references = [read_recording(reference) for reference in healthy]
         found = discover(
             recording, we2011.PARAMETERS, withhold=tuple(entry["withhold"]), map_tolerance=map_tolerance, seed=0,
             **({"references": references} if references else {}),
@@ -190,10 +201,9 @@ def run_drawn_case(
         know: what is known of the engine from the files of its references; its time doesn't count.
         judge: what is said of a recording then.
     """
-    recording, references = folder / entry["recording"], [folder / item["recording"] for item in entry["references"]]
+    recording = folder / entry["recording"]
     check_file(recording, entry["recording_sha256"])
-    for path, reference in zip(references, entry["references"], strict=True):
-        check_file(path, reference["sha256"])
+    references = _checked_references(folder, entry)
     _reset_peak()
     start = time.perf_counter()
     try:
@@ -207,6 +217,13 @@ def run_drawn_case(
         write(result / "engine.yaml")
         _write_document(result, said, seconds, {})
     return _said(folder, entry, said, seconds)
+
+
+def _checked_references(folder: Path, entry: Mapping[str, Any]) -> list[Path]:
+    """Files of a case's references, each the one that was made."""
+    for item in entry.get("references", ()):
+        check_file(folder / item["recording"], item["sha256"])
+    return [folder / item["recording"] for item in entry.get("references", ())]
 
 
 def _judge_petrol(recording: Path, engine: PetrolParameters) -> Said:

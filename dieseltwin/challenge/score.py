@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -16,23 +16,27 @@ from dieseltwin.challenge.cases import DRAWN, PETROL, POINTS
 from dieseltwin.challenge.processes import in_processes
 from dieseltwin.challenge.records import CaseRow, Scoring, case_row, diesel_row, oracle_row, petrol_truth, verdict_row
 from dieseltwin.challenge.run import RESULTS, read_manifest
-from dieseltwin.challenge.seal import SEALED, check_file, open_answers, read_salt
+from dieseltwin.challenge.seal import SEALED, check_file, open_answers, read_salt, salted_sha256
 from dieseltwin.challenge.table import extra, lines, markdown
 from dieseltwin.discovery.verdict.explain import plain
 from dieseltwin.errors import InputError
 from dieseltwin.sealed import sealed_json
 
 SCORE = "score"
+_HELD_OUT = {
+    "held_out.csv": "held_out_salted_sha256", "held_out_clean.parquet": "held_out_clean_salted_sha256",
+}  # fmt: skip
 OF_A_LINE = ("key", "metric", "value", "pass_at", "aim", "passed", "aimed")
 
 
 @dataclass(frozen=True)
 class Score:
-    """All rows of a benchmark, and those of the baselines on their subset."""
+    """All rows of a benchmark, those of the baselines on their subset, and what fits the hashes of the manifest."""
 
     rows: tuple[CaseRow, ...]
     baselines: Mapping[str, tuple[CaseRow, ...]]
     manifest: Mapping[str, Any]
+    fitting: tuple[str, ...]
 
 
 def score_challenge(
@@ -50,6 +54,7 @@ def score_challenge(
     """
     manifest = read_manifest(folder)
     answers = verified_answers(folder, manifest)
+    fitting = _fitting(manifest, answers)
     if not unrun:
         answers = [a for a in answers if any((folder / RESULTS / a["case"]).glob("*.json"))]
     if not answers:
@@ -76,28 +81,51 @@ def score_challenge(
         baselines["tool"] = tuple(row for row in rows if row.case in subset)
         baselines |= {name: tuple(values) for name, values in found.items()}
         baselines["oracle"] = tuple(oracle_row(row) for row in baselines["tool"])
-    return Score(tuple(rows), baselines, manifest)
+    return Score(tuple(rows), baselines, manifest, fitting)
 
 
 def verified_answers(folder: Path, manifest: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """The answers of all cases, after the published hashes of answers and recordings were checked.
+    """The answers of all cases, after every published hash was checked: `_fitting` says of what.
 
     Raises:
         InputError: something is missing or was changed.
     """
     sealed = folder / SEALED
     salt = read_salt(sealed)
+    references = {item["recording"]: item["sha256"] for entry in manifest["cases"]
+                  for item in entry.get("references", ())}  # fmt: skip
+    for name, published in references.items():
+        check_file(folder / name, published)
     found = []
     for entry in manifest["cases"]:
         answers = open_answers(sealed, entry["case"], entry["answers_salted_sha256"])
         check_file(folder / entry["recording"], entry["recording_sha256"])
-        if entry.get("held_out_salted_sha256") is not None:
-            check_file(sealed / f"{entry['case']}_held_out.csv", entry["held_out_salted_sha256"], salt)
+        for name, key in _HELD_OUT.items():
+            if entry.get(key) is not None:
+                check_file(sealed / f"{entry['case']}_{name}", entry[key], salt)
         if answers["case"] != entry["case"] or answers["withhold"] != entry["withhold"]:
             raise InputError(f"{folder}: {entry['case']}", "answers of another case or another switch",
                              "the manifest that was published", "restore manifest.json")
+        seed = str(answers.get("seed"))
+        if "seed" in answers and salted_sha256(salt, seed.encode()) != manifest.get("seed_sha256"):
+            raise InputError(f"{folder}: {entry['case']}", "answers of another seed than the published one",
+                             "the manifest that was published", "restore manifest.json")
         found.append(answers)
     return found
+
+
+def _fitting(manifest: Mapping[str, Any], answers: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
+    """What `verified_answers` compared with published hashes: benchmarks made long ago have fewer of them."""
+    cases = manifest["cases"]
+    checked = {
+        "seed": all("seed" in case for case in answers),
+        "answers": True,
+        "recordings": True,
+        "references": any(entry.get("references") for entry in cases),
+        "second recordings": all(entry.get("held_out_salted_sha256") is not None for entry in cases),
+        "their clean signals": all(entry.get("held_out_clean_salted_sha256") is not None for entry in cases),
+    }
+    return tuple(name for name, done in checked.items() if done)
 
 
 def write_score(score: Score, folder: Path, *, figures: bool = True) -> Path:
@@ -105,8 +133,8 @@ def write_score(score: Score, folder: Path, *, figures: bool = True) -> Path:
     manifest = score.manifest
     out = folder / SCORE
     notes = [
-        f"{len(score.rows)} of {manifest['n']} cases, tier {manifest['tier']}{_size(manifest)}. Seed, answers and "
-        "second recordings fit the hashes published beforehand."
+        f"{len(score.rows)} of {manifest['n']} cases, tier {manifest['tier']}{_size(manifest)}. What fits the hashes "
+        f"published beforehand: {', '.join(score.fitting)}."
     ]
     document = {
         "schema": 1, "cases": len(score.rows), "of": manifest["n"], "tier": manifest["tier"],

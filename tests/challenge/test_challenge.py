@@ -133,6 +133,30 @@ def test_tampering_is_seen(folder: Path) -> None:
         verified_answers(folder, manifest)
 
 
+def test_signals_and_seed_are_checked_as_well(folder: Path) -> None:
+    manifest = read_manifest(folder)
+    with pytest.raises(InputError, match="another seed"):
+        verified_answers(folder, manifest | {"seed_sha256": "0" * 64})
+    with (folder / SEALED / "case_0001_held_out_clean.parquet").open("ab") as file:
+        file.write(b"0")
+    with pytest.raises(InputError, match="clean"):
+        verified_answers(folder, manifest)
+    old = [{key: value for key, value in entry.items() if "clean" not in key} for entry in manifest["cases"]]
+    assert len(verified_answers(folder, manifest | {"cases": old})) == 4  # made before these were published
+
+
+def test_a_changed_reference_is_neither_run_nor_scored(tmp_path: Path) -> None:
+    out = tmp_path / "own"
+    make_challenge(out, 1, 3, duration_s=60.0, tier="own-engine", reference_min=1.0)
+    verified_answers(out, read_manifest(out))
+    with (out / "case_0001" / "reference_1.csv").open("a") as file:
+        file.write("\n")
+    with pytest.raises(InputError, match="reference_1"):
+        run_challenge(out, discover=pretended)
+    with pytest.raises(InputError, match="reference_1"):
+        verified_answers(out, read_manifest(out))
+
+
 def test_run_goes_on_and_never_opens_the_seal(folder: Path) -> None:
     hidden = folder.with_name("hidden")
     (folder / SEALED).rename(hidden)
@@ -185,7 +209,9 @@ def test_score_files(folder: Path) -> None:
     out = write_score(score_challenge(folder, scoring=Scoring()), folder)
     document = json.loads((out / "score.json").read_text())
     assert [line["key"] for line in document["lines"]][:3] == ["false_alarms", "detection", "site"]
-    assert "| false alarms, healthy |" in (out / "score.md").read_text()
+    said = (out / "score.md").read_text()
+    assert "| false alarms, healthy |" in said
+    assert "beforehand: seed, answers, recordings, second recordings, their clean signals." in said
 
 
 # hand-made rows with known figures

@@ -58,6 +58,8 @@ def test_made_run_and_scored(short: None, tmp_path: Path, capsys: pytest.Capture
     said = capsys.readouterr().out
     score = json.loads((out / "score" / "score.json").read_text())
     answers = [json.loads((out / "sealed" / f"case_000{k}.json").read_text()) for k in (1, 2)]
+    assert all(a["seed"] == 5 for a in answers)
+    assert "beforehand: seed, answers, recordings, references." in (out / "score" / "score.md").read_text()
     large = [truth for a in answers for truth in petrol_truth(a) if truth.ratio >= 3.0]
     line = next(item for item in score["lines"] if item["key"] == "name_in_set")
     assert line["numbers"]["of"] == len(large) == line["numbers"]["hits"] and large
