@@ -140,7 +140,7 @@ def rates(y, carry, n_e, u_delta, u_egr, u_vgt, c, e, errors, low, high, sweeps,
     eta_vol *= (1.0 - e[E_ETA_VOL] * (p_em / p_im - 1.0)) * (1.0 - e[E_PORT_HEAT] * (1.0 - n_e / 2000.0))
     u = min(u_egr + e[E_EGR_OFFSET], -c.c_egr1 / (2.0 * c.c_egr0))
     f_egr = max(c.c_egr2 + u * (c.c_egr1 + u * c.c_egr0), 0.0) * (1.0 + errors_1d(errors[1], low[1], high[1], u))
-    A_egr = c.A_egrmax * (f_egr + e[E_VALVE_LEAK]) * (1.0 - e[E_CLOGGING])
+    A_egr = c.A_egrmax * (f_egr + e[E_VALVE_LEAK]) * max(1.0 - e[E_CLOGGING], 0.0)
     Pi_egr = min(max(p_im / p_em, c.Pi_egropt), 1.0)
     parabola = (1.0 - Pi_egr) / (1.0 - c.Pi_egropt) - 1.0
     egr_factor = A_egr * p_em * (1.0 - parabola * parabola)
@@ -265,7 +265,7 @@ def _integrate(inputs, step, every, first, c, which, sizes, factors, errors, low
               row)  # fmt: skip
         if couple < 0.0 or e[E_COUPLE_LAG] == 0.0:
             couple = row[4]
-        else:  # the couple follows the gas, held over the step at the mean of its ends to second order
+        else:  # the couple follows the gas, held over the step at its temperature at the step's end
             couple += (row[4] - couple) * (1.0 - np.exp(-step / e[E_COUPLE_LAG]))
         if i >= first and (i - first) % every == 0:
             for j in range(23):

@@ -72,6 +72,13 @@ def test_every_effect_is_the_twins(name: str, drive: Driving) -> None:
     assert difference(reference, without)[1] > 5 * rms
 
 
+def test_a_path_that_has_clogged_passes_nothing(drive: Driving) -> None:
+    """The share closed grows without end; the flow doesn't turn."""
+    run = run_plant(drive, LABORATORY, (Fault("egr_clogging", 0.02),), initial=START)
+    flow = run["w_egr_kg_s"]
+    assert flow.min() >= 0.0 and flow[:100].max() > 0.0 and not flow[drive.time_s >= 50.0].any()
+
+
 def test_a_flap_half_open_is_a_back_pressure(drive: Driving) -> None:
     """Elsewhere its area follows another law than the catalogue's, on purpose."""
     half, shut = (replace(drive, u_flap_pct=np.full(drive.time_s.size, pct)) for pct in (50.0, 25.0))
