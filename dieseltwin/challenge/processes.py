@@ -9,16 +9,17 @@ from contextlib import contextmanager
 from multiprocessing import get_context
 from typing import TypeVar
 
-_ONE_THREAD = ("OMP_NUM_THREADS", "DIESELTWIN_THREADS", "NUMBA_NUM_THREADS")
+_AT_START = ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS")  # read when a process loads its libraries
+_AT_ANY_TIME = ("DIESELTWIN_THREADS",)
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
 @contextmanager
-def _one_thread() -> Iterator[None]:
-    saved = {name: os.environ.get(name) for name in _ONE_THREAD}
-    os.environ.update({name: "1" for name in _ONE_THREAD})
+def _one_thread(names: Sequence[str]) -> Iterator[None]:
+    saved = {name: os.environ.get(name) for name in names}
+    os.environ.update(dict.fromkeys(names, "1"))
     try:
         yield
     finally:
@@ -32,16 +33,27 @@ def _one_thread() -> Iterator[None]:
 def in_processes(
     work: Callable[[Item], Result], items: Sequence[Item], jobs: int
 ) -> Iterator[tuple[int, Result]]:
-    """Results with the positions of their items, as they come; in this process for one job or one item.
+    """Results with the positions of their items, as they come.
+
+    One job or one item stays in this process where its libraries have been told to use one thread
+    (OMP_NUM_THREADS=1); else it has a process of its own, so that its time means one core too.
 
     Args:
         work: picklable with its items and results.
     """
-    if jobs <= 1 or len(items) <= 1:
+    if (jobs <= 1 or len(items) <= 1) and os.environ.get("OMP_NUM_THREADS") == "1":
         for k, item in enumerate(items):
-            yield k, work(item)
+            with _one_thread(_AT_ANY_TIME):
+                result = work(item)
+            yield k, result
         return
-    with _one_thread(), ProcessPoolExecutor(min(jobs, len(items)), mp_context=get_context("spawn")) as pool:
+    if not items:
+        return
+    workers = max(1, min(jobs, len(items)))
+    with (
+        _one_thread((*_AT_START, *_AT_ANY_TIME)),
+        ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool,
+    ):
         futures = {pool.submit(work, item): k for k, item in enumerate(items)}
         try:
             for future in as_completed(futures):
