@@ -50,6 +50,13 @@ def test_health_parameters_are_found(healthy: tuple[Bound, health_only.HealthFit
     assert abs(health_only.statistics(fit)["chi2"]) < 25.0  # of 150 s the noise is known to 10 %
 
 
+def test_the_twin_has_the_recordings_weather() -> None:
+    low = Bound.of(recorded(seconds=60.0).assign(p_amb_pa=9.8e4, t_amb_k=285.0), LABORATORY)
+    constants = low.constants({name: WORN[name] for name in HEALTH})
+    assert (constants.p_amb, constants.T_amb) == (9.8e4, 285.0)
+    assert Bound.of(recorded(seconds=60.0), LABORATORY).constants({}).p_amb == LABORATORY["p_amb"]
+
+
 def test_a_leak_is_left_in_the_residuals(
     healthy: tuple[Bound, health_only.HealthFit], leaking: tuple[Bound, health_only.HealthFit]
 ) -> None:

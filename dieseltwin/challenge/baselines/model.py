@@ -1,7 +1,7 @@
 """The baselines' twin: the plant's equations with published maps and no fault, over windows that start anew.
 
-It agrees with `dieseltwin.engine` to 0.02 % (tests/discovery/challenge) and can carry a neural correction or constant
-biases on the three balances, which the tool's simulator needn't.
+The equations agree with `dieseltwin.engine` (`tests/challenge/test_plant.py`). It can carry a neural correction or
+constant biases on the three balances, which the tool's simulator needn't.
 """
 
 from __future__ import annotations
@@ -72,7 +72,11 @@ class Bound:
 
     @classmethod
     def of(cls, frame: pd.DataFrame, laboratory: Mapping[str, Any]) -> Bound:
-        """Bind a recording in our column names at equal steps."""
+        """Bind a recording in our column names at equal steps; its ambient where it has one, as the tool reads it."""
+        laboratory = dict(laboratory)
+        for name, column in (("p_amb", "p_amb_pa"), ("T_amb", "t_amb_k")):
+            if column in frame:
+                laboratory[name] = float(frame[column].median())
         driving = Driving(*(frame[name].to_numpy(dtype=float) for name in
                             ("time_s", "n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")))  # fmt: skip
         sample_s = float(driving.time_s[1] - driving.time_s[0])

@@ -72,7 +72,9 @@ def write_bands(folder: Path, *, jobs: int = 1, progress: Callable[[int, int, st
 
 def _of_healthy(tier: Tier, sensors: int, duration_s: float, plan: Plan) -> dict[str, float]:
     laboratory = we2011.PARAMETERS.model_dump()
-    made = build_case(plan, BAND_SEED, laboratory, tier=tier, sensors=sensors, duration_s=duration_s)
+    made = build_case(
+        plan, BAND_SEED, laboratory, tier=tier, sensors=sensors, duration_s=duration_s, reference_min=0.0
+    )
     return dict(one_recording(made.recording, laboratory)["statistics"])
 
 
