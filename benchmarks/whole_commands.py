@@ -20,7 +20,9 @@ from typing import Any
 
 import numpy as np
 from bench import twin
+from kept import keep, kept_lines
 
+from dieseltwin.discovery.verdict.document import NONE_OF_THESE
 from dieseltwin.engine.effects import EFFECTS
 
 SLOW_S = (8.0, 15.0, 60.0)  # asked of the median, of nine in ten, of all
@@ -41,19 +43,23 @@ def judged(recording: Path, true: list[str], withhold: list[str]) -> dict[str, A
         document = json.loads((Path(name) / "out" / "discrepancy.json").read_text())
     named = sorted(effect["name"] for effect in document["effects"])
     return {"seconds": told.seconds, "processor": told.processor, "peak": told.peak, "true": true, "named": named,
-            "mismatch": document["mismatch"], "none_of_these": document.get("none_of_these")}  # fmt: skip
+            "mismatch": document["mismatch"]}  # fmt: skip
 
 
 def table(rows: list[dict[str, Any]]) -> Iterator[str]:
-    """One row for cases with the whole catalogue and one with the true names withheld."""
-    yield "| catalogue | cases | middle | nine in ten | longest | processor, middle |\n|---|---|---|---|---|---|"
+    """One row for cases with the whole catalogue and one with the true names withheld; seconds, and how often
+    `none_of_these` is said."""
+    yield ("| catalogue | cases | middle | nine in ten | longest | processor, middle | none of these said |\n"
+           "|---|---|---|---|---|---|---|")  # fmt: skip
     for withheld in (False, True):
         some = [row for row in rows if row["withheld"] == withheld]
         if some:
             seconds = np.array([row["seconds"] for row in some])
             middle = np.median([row["processor"] for row in some])
+            none = sum(NONE_OF_THESE in row["named"] for row in some)
             yield (f"| {'true names withheld' if withheld else 'whole'} | {len(some)} | {np.median(seconds):.1f} s"
-                   f" | {np.quantile(seconds, 0.9):.1f} s | {seconds.max():.1f} s | {middle:.1f} s |")  # fmt: skip
+                   f" | {np.quantile(seconds, 0.9):.1f} s | {seconds.max():.1f} s | {middle:.1f} s"
+                   f" | {none} of {len(some)} |")  # fmt: skip
     yield "asked: " + ", ".join(f"{seconds:g} s" for seconds in SLOW_S)
 
 
@@ -64,7 +70,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--minutes", type=float, default=600.0, help="no new case after so long")
     asked = parser.parse_args()
-    rows = [json.loads(line) for line in asked.out.read_text().splitlines()] if asked.out.exists() else []
+    rows = kept_lines(asked.out)
     done = {(row["case"], row["withheld"]) for row in rows}
     until = time.monotonic() + 60.0 * asked.minutes
     for withheld in (False, True):
@@ -74,8 +80,7 @@ def main() -> None:
                 continue
             row = {"case": case, "withheld": withheld, **judged(recording, true, names)}
             rows.append(row)
-            with asked.out.open("a") as file:
-                file.write(json.dumps(row) + "\n")
+            keep(asked.out, row)
             print(f"{case} {row['seconds']:.1f} s: {row['named']} (true {true})", flush=True)
     print("\n".join(table(rows)))
 

@@ -1,7 +1,8 @@
 """Every line of the table of docs/benchmark.md, counted from `CaseRow`s. Definitions stand with each function.
 
-Counted cases are those whose largest fault is at least three tolerances; a case without a result counts against the
-tool wherever it is counted.
+Counted cases are those whose largest fault is at least three tolerances. A case without a result counts against the
+tool among alarms, detection, sites, names and "none of these" of withheld effects. What is measured on an answer leaves
+it out: sizes of sets, laws, magnitudes and their coverage, health, gain and time; and it has said no false "none".
 """
 
 from __future__ import annotations

@@ -82,7 +82,7 @@ def later_segments(
         problems: all segments of the recording.
         taken: network weights (R, size) and masked unknowns (R, 4) of `source_models`.
         runs, seed, config, operators, maps: as `estimate`.
-        first_run: number of the first run, as `fewshot_adam.estimate`.
+        first_run: number of the first run, as `few_shot_adam.estimate`.
 
     Returns:
         One estimate for each segment but the first, in order.

@@ -1,12 +1,12 @@
 """The training loop of the hybrid PINN: stages of Adam on networks, unknowns and self-adaptive weights, over lanes.
 
 Source: paper, sections "A hybrid model using DeepONet and PINN" (two phases), "Multi-stage Transfer learning" (Stages
-I-III) and "Results: Multi-stage Transfer Learning" (starts, epochs). `baseline` and `multistage` differ in their stages
-and in where the networks and unknowns start. Loss, weights, masks, inputs and learned maps are those of
-`fewshot_program`; only the way from unknowns to linear outputs z is another one (`pinn_networks`).
+I-III) and "Results: Multi-stage Transfer Learning" (starts, epochs). `baseline` and `multi_stage` differ in their
+stages and in where the networks and unknowns start. Loss, weights, masks, inputs and learned maps are those of
+`few_shot_program`; only the way from unknowns to linear outputs z is another one (`pinn_networks`).
 
 From Stage II on the hidden layers are frozen, so a compiled run computes their outputs and rates once.
-As in `fewshot_adam`, several Adam optimisers with rates of their own are one update with a rate for each column.
+As in `few_shot_adam`, several Adam optimisers with rates of their own are one update with a rate for each column.
 """
 
 from __future__ import annotations
