@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from identification import benchmark_problems
+from identification import NOISE, benchmark_problems
 
 from dieseltwin.engine import HEALTH, MEASURED, Inputs, simulate, we2011
 from dieseltwin.identification.bound import IDENTIFIABLE_BELOW, cramer_rao
@@ -58,7 +58,7 @@ def driving_problems(seeds: Sequence[int], params: Params) -> tuple[list[Segment
         initial = np.array([[s.columns[n][0] for n in MEASURED[:3]] for s in made.segments(60.0)])
         found = problems_from_recording(made, we2011.PARAMETERS, channels=PAPER_CHANNELS)
         bounds += [b.relative for b in cramer_rao(found, true.health(), initial)]
-        problems += [p.with_noise_draws(1, np.random.default_rng([seed, k])) for k, p in enumerate(found)]
+        problems += [p.with_noise_draws(1, np.random.default_rng([NOISE, seed, k])) for k, p in enumerate(found)]
     return problems, np.stack(bounds)
 
 

@@ -84,13 +84,17 @@ def main() -> None:
     parser.add_argument("--scale-x-r", type=float, default=None, help="unit of the residual of x_r")
     parser.add_argument("--average-share", type=float, default=None, help="of the epochs; 0 is the last epoch")
     parser.add_argument("--fixed-dropout", action="store_true", help="one realisation of the maps a run")
-    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--seed", type=int, default=1, help="of starts, masks and weights")
+    parser.add_argument("--noise-seed", type=int, default=1001, help="of the readings' noise; another one than --seed")
     parser.add_argument("--recording", type=Path, default=Path("data/field/case_v_clean.parquet"))
     arguments = parser.parse_args()
     if arguments.models is not None and not set(arguments.methods) & set(LEARNED):
         parser.error(
             f"--models: none of {', '.join(arguments.methods)} uses it; name {' or '.join(LEARNED)}, or leave it out"
         )
+
+    if arguments.noise_seed == arguments.seed:
+        parser.error("--noise-seed: starts and noise would come from one stream; choose another one than --seed")
 
     params = load_params(None, arguments.profile)
     clean = clean_problems(arguments.recording, params)
@@ -106,7 +110,7 @@ def main() -> None:
     given = networks(arguments.models, arguments.leave_out)
     with tempfile.TemporaryDirectory() as temporary:
         for case in arguments.cases:
-            problems = case_problems(clean, case, arguments.members, arguments.seed, arguments.channels)
+            problems = case_problems(clean, case, arguments.members, arguments.noise_seed, arguments.channels)
             true = np.array([truth[name] for name in HEALTH])
             bounds = [cramer_rao([p], true, np.asarray(p.true_initial)[:3])[0].relative for p in problems]
             for method in arguments.methods:
