@@ -44,7 +44,7 @@ def accuracy(arguments: argparse.Namespace) -> None:
     """Print estimate over truth and its ratio to the bound, segment by segment."""
     config = load_params(None, "paper").identify
     start = StartConfig(at=arguments.start, sd_masked=config.start.sd_masked)
-    config = config.changed(METHOD, epochs=arguments.epochs, weights_until_epoch=arguments.epochs * 2 // 3)
+    config = config.changed(METHOD, **config.of(METHOD).schedule_of(arguments.epochs))
     config = config.model_copy(update={"start": start})
     problems, bounds = benchmark_problems(arguments.runs, arguments.seed)
     given = networks(arguments.models, arguments.maps)

@@ -56,14 +56,9 @@ def problems_of(plant: EngineParameters, known: EngineParameters, minutes: int, 
 def shortened(share: float) -> IdentifyConfig:
     """The paper's settings with a share of the epochs of every training."""
     config = load_params(None, "paper").identify
-
-    def part(epochs: int) -> int:
-        return max(1, round(epochs * share))
-
-    config = config.changed(FEW_SHOT, epochs=part(config.of(FEW_SHOT).epochs))
-    for method in (baseline.METHOD, multistage.METHOD):
-        stages = [s.model_copy(update={"until_epoch": part(s.until_epoch)}) for s in config.of(method).stages]
-        config = config.changed(method, stages=stages)
+    for method in (FEW_SHOT, baseline.METHOD, multistage.METHOD):
+        settings = config.of(method)
+        config = config.changed(method, **settings.schedule_of(max(1, round(share * settings.trained_epochs))))
     return config
 
 

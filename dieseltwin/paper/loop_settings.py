@@ -80,6 +80,12 @@ class AdamConfig(MethodSettings):
         """Epochs of the loop."""
         return self.epochs
 
+    def schedule_of(self, epochs: int) -> dict[str, int]:
+        """The settings of a training of so many epochs, its pieces in the same proportions."""
+        share = epochs / self.epochs
+        return {"epochs": epochs, "weights_until_epoch": max(1, round(share * self.weights_until_epoch)),
+                "late_from_epoch": max(1, round(share * self.late_from_epoch))}  # fmt: skip
+
 
 class Stage(StrictModel):
     """A piece of the PINN's schedule with constant learning rates; a rate of 0 freezes."""
@@ -114,3 +120,9 @@ class PinnConfig(MethodSettings):
     def trained_epochs(self) -> int:
         """Epochs of all stages."""
         return self.stages[-1].until_epoch
+
+    def schedule_of(self, epochs: int) -> dict[str, list[Stage]]:
+        """The settings of a training of so many epochs, its stages in the same proportions."""
+        share = epochs / self.trained_epochs
+        ends = [max(1, round(share * stage.until_epoch)) for stage in self.stages]
+        return {"stages": [s.model_copy(update={"until_epoch": end}) for s, end in zip(self.stages, ends, strict=True)]}

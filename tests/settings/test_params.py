@@ -52,6 +52,14 @@ def test_the_paper_profile_holds_what_the_paper_prints(project_root: Path) -> No
     assert params.engine.field_ratios == {"A_egrmax": 1.333, "A_vgtmax": 1.1663, "eta_sc": 0.9179, "h_tot": 1.0}
 
 
+def test_a_shorter_training_keeps_its_proportions(project_root: Path) -> None:
+    paper = load_params(project_root / "params.yaml", "paper").identify
+    few_shot = paper.changed("few-shot-adam", **paper.of("few-shot-adam").schedule_of(3000)).of("few-shot-adam")
+    assert (few_shot.epochs, few_shot.weights_until_epoch, few_shot.late_from_epoch) == (3000, 2000, 2500)
+    stages = paper.changed("multi-stage", **paper.of("multi-stage").schedule_of(3500)).of("multi-stage").stages
+    assert [stage.until_epoch for stage in stages] == [1000, 2000, 3000, 3500]
+
+
 def test_the_quick_profile_is_a_smaller_paper_profile(project_root: Path) -> None:
     quick, paper = (load_params(project_root / "params.yaml", name) for name in ("quick", "paper"))
     assert quick.identify.of("few-shot-adam").epochs < paper.identify.of("few-shot-adam").epochs
