@@ -81,22 +81,9 @@ class Plan:
 
 
 @dataclass(frozen=True)
-class Machine:
-    """The engine of one case: parameters by name (health included), maps, sensors, faults."""
-
-    parameters: dict[str, Any]
-    maps: MapErrors
-    sensors: SensorSet
-    faults: tuple[Fault, ...]
-
-
-@dataclass(frozen=True)
 class Case:
     """One case with both of its recordings; what `make` writes."""
 
-    plan: Plan
-    machine: Machine
-    driving: Driving
     recording: pd.DataFrame
     held_out: pd.DataFrame
     held_out_clean: PlantRun
@@ -211,7 +198,6 @@ def build_case(
         references = record_reference(
             then, laboratory, maps, (sensor_set, run, sensors), reference_min, stream(_REFERENCE)
         )
-    machine = Machine(parameters, maps, sensor_set, faults)
     answers = {
         "case": plan.name, "kind": plan.kind, "partial": plan.partial, "effects": [f.document() for f in faults],
         "withhold": list(plan.withhold), "tier": tier, "seed": seed, "route": plan.route, "held_out_route": later.kind,
@@ -220,7 +206,7 @@ def build_case(
     }  # fmt: skip
     if own:
         answers["since_reference"] = wear
-    return Case(plan, machine, driving, recording, held_out, run_later, answers, references)
+    return Case(recording, held_out, run_later, answers, references)
 
 
 def _draw_engine(

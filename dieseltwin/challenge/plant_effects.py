@@ -5,7 +5,7 @@ The table stands apart from the tool's catalogue `dieseltwin.engine.effects` on 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -121,14 +121,12 @@ class Fault:
         magnitude: in the family's unit.
         onset_s: begins so long after the recording's start [s]; None: there all along.
         region: input column -> (low, high) outside which it is absent; None: everywhere.
-        spans: since the recording's start, outside which it is absent [s]; None: it doesn't come and go.
     """
 
     effect: str
     magnitude: float
     onset_s: float | None = None
     region: Mapping[str, tuple[float, float]] | None = None
-    spans: Sequence[tuple[float, float]] | None = None
 
     def __post_init__(self) -> None:
         if self.effect not in FAMILIES:
@@ -168,10 +166,6 @@ def schedule(fault: Fault, time_s: np.ndarray, driving: Driving) -> np.ndarray:
         factor = np.maximum(time_s - driving.time_s[0], 0.0)
     if fault.onset_s is not None:
         factor = np.where(time_s - driving.time_s[0] >= fault.onset_s, factor, 0.0)
-    if fault.spans is not None:
-        since = (time_s - driving.time_s[0])[:, None]
-        firsts, ends = np.transpose(fault.spans)
-        factor = np.where(((since >= firsts) & (since < ends)).any(axis=1), factor, 0.0)
     for column, (low, high) in (fault.region or {}).items():
         values = np.interp(time_s, driving.time_s, getattr(driving, column))
         factor = np.where((values >= low) & (values <= high), factor, 0.0)

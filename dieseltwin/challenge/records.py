@@ -71,7 +71,7 @@ class CaseRow:
     Attributes:
         kind: of the mix; partial: "onset", "region" or None; route: kind of driving.
         truth: faults; said: reported effects, strongest first; problem: why there is no result, else None.
-        mismatch, p_value, site, sites: of the document (`sites`: with the alternatives).
+        mismatch, p_value, site: of the document.
         health_true, health_before, health_after: name -> value.
         since_true, since_said: name -> health over that at the reference; what was said with its standard deviation.
         nll_before, nll_after, nll_oracle: per sample on the second recording; `samples` of it.
@@ -91,7 +91,6 @@ class CaseRow:
     mismatch: bool = False
     p_value: float | None = None
     site: str | None = None
-    sites: tuple[str, ...] = ()
     said: tuple[SaidEffect, ...] = ()
     health_true: Mapping[str, float] = field(default_factory=dict)
     health_before: Mapping[str, float] = field(default_factory=dict)
@@ -136,7 +135,7 @@ class CaseRow:
 
 @dataclass(frozen=True)
 class Scoring:
-    """What the scorer asks of the tool's library; a function that is None leaves its metrics out.
+    """What the scorer asks of the tool's library.
 
     Attributes:
         held_out_nll: (engine, recording) -> negative log-likelihood per sample.
@@ -144,16 +143,14 @@ class Scoring:
         separability: (recording, engine, term) -> name -> D.
         law_error: (result folder, clean held-out signals, fault, true health) -> error of the found law, or None.
         error_of: (terms, clean held-out signals, fault, true health) -> error of given terms.
-        terms: (faults) -> terms of the engine file.
         with_plant_maps: (engine, plant's maps) -> engine of an oracle that knows them; None where it doesn't.
     """
 
-    held_out_nll: Callable[[EngineParameters, Recording], float] | None = None
-    fit_oracle: Callable[..., EngineParameters] | None = None
-    separability: Callable[..., Mapping[str, float]] | None = None
-    law_error: Callable[[Path, pd.DataFrame, Fault, Mapping[str, float]], float | None] | None = None
-    error_of: Callable[[Sequence[Any], pd.DataFrame, Fault, Mapping[str, float]], float] | None = None
-    terms: Callable[[Sequence[Fault]], tuple[Any, ...]] | None = None
+    held_out_nll: Callable[[EngineParameters, Recording], float]
+    fit_oracle: Callable[..., EngineParameters]
+    separability: Callable[..., Mapping[str, float]]
+    law_error: Callable[[Path, pd.DataFrame, Fault, Mapping[str, float]], float | None]
+    error_of: Callable[[Sequence[Any], pd.DataFrame, Fault, Mapping[str, float]], float]
     with_plant_maps: Callable[[EngineParameters, MapErrors], EngineParameters] | None = None
 
     @classmethod
@@ -168,7 +165,7 @@ class Scoring:
         met, apart = (scoring.MAPS_MET, MAP_RMS["main"]) if own else (MAP_RMS[tier], MAP_RMS[tier])
         return cls(
             scoring.held_out_nll, partial(scoring.fit_oracle, map_tolerance=met),
-            partial(scoring.separability, map_tolerance=apart), law_error, error_of, engine_terms,
+            partial(scoring.separability, map_tolerance=apart), law_error, error_of,
             scoring.with_plant_maps if own else None,
         )  # fmt: skip
 
@@ -237,7 +234,6 @@ def said(document: Discrepancy) -> dict[str, Any]:
     return {
         "mismatch": document.mismatch, "p_value": document.p_value,
         "site": None if location is None else location.site,
-        "sites": () if location is None else (location.site, *(a.site for a in location.alternatives)),
         "said": tuple(SaidEffect(e.name, e.names, e.magnitude, e.std) for e in document.effects),
         "health_before": {k: v.before for k, v in document.health.items() if k in HEALTH},
         "health_after": {k: v.value for k, v in document.health.items() if k in HEALTH},
@@ -292,19 +288,18 @@ def _computed(
     if scoring.with_plant_maps is not None:
         truth = scoring.with_plant_maps(truth, maps_of(answers, we2011.PARAMETERS.model_dump()))
     healthy_too = scoring.with_plant_maps is not None  # whose change since the reference the oracle tells as well
-    if scoring.held_out_nll is not None:
-        values["samples"] = int(later.time_s.size)
-        values["nll_before"] = float(scoring.held_out_nll(_lasting(load_engine(result / "engine_before.yaml")), later))
-        values["nll_after"] = float(scoring.held_out_nll(_lasting(load_engine(result / "engine.yaml")), later))
-        if (faults or healthy_too) and catalogued and scoring.fit_oracle is not None and scoring.terms is not None:
-            oracle = scoring.fit_oracle(recording, truth, scoring.terms(faults))
-            values["nll_oracle"] = float(scoring.held_out_nll(_lasting(oracle), later))
-            values["oracle_health"] = {name: float(getattr(oracle, name)) for name in HEALTH}
-            values["oracle_magnitudes"] = {
-                term.effect: float(term.magnitude) for term in oracle.terms if isinstance(term, Term)
-            }
-    if scoring.separability is not None and scoring.terms is not None and len(faults) == 1 and catalogued:
-        distances = dict(scoring.separability(recording, truth, scoring.terms(faults)[0]))
+    values["samples"] = int(later.time_s.size)
+    values["nll_before"] = float(scoring.held_out_nll(_lasting(load_engine(result / "engine_before.yaml")), later))
+    values["nll_after"] = float(scoring.held_out_nll(_lasting(load_engine(result / "engine.yaml")), later))
+    if (faults or healthy_too) and catalogued:
+        oracle = scoring.fit_oracle(recording, truth, engine_terms(faults))
+        values["nll_oracle"] = float(scoring.held_out_nll(_lasting(oracle), later))
+        values["oracle_health"] = {name: float(getattr(oracle, name)) for name in HEALTH}
+        values["oracle_magnitudes"] = {
+            term.effect: float(term.magnitude) for term in oracle.terms if isinstance(term, Term)
+        }
+    if len(faults) == 1 and catalogued:
+        distances = dict(scoring.separability(recording, truth, engine_terms(faults)[0]))
         distances.pop(faults[0].effect, None)
         for withheld in answers["withhold"]:  # the tool could not take it for a name that it doesn't know
             distances.pop(withheld, None)
@@ -313,8 +308,7 @@ def _computed(
             values["nearest"] = [other, float(distances[other])]
     values |= _law_errors(folder, result, answers, faults, scoring, values.get("oracle_magnitudes", {}))
     with_numbers = {k: (None if isinstance(v, float) and not np.isfinite(v) else v) for k, v in values.items()}
-    if scoring != Scoring():
-        write_json(cache, sealed_json({"of": _stamp(result), "values": with_numbers}))
+    write_json(cache, sealed_json({"of": _stamp(result), "values": with_numbers}))
     return with_numbers
 
 
@@ -323,14 +317,14 @@ def _law_errors(
     oracle: Mapping[str, float],
 ) -> dict[str, Any]:  # fmt: skip
     """Errors of the found law and of the true form with the oracle's magnitude, in withheld cases."""
-    if scoring.law_error is None or answers["kind"] != "withheld":
+    if answers["kind"] != "withheld":
         return {}
     fault, health = faults[0], answers["health"]
     clean = pd.read_parquet(folder / SEALED / f"{answers['case']}_held_out_clean.parquet")
     errors = [scoring.law_error(result, clean, fault, health), None]
     told = oracle.get(fault.effect)
-    if told is not None and scoring.error_of is not None and scoring.terms is not None:
-        errors[1] = scoring.error_of(scoring.terms([replace(fault, magnitude=told)]), clean, fault, health)
+    if told is not None:
+        errors[1] = scoring.error_of(engine_terms([replace(fault, magnitude=told)]), clean, fault, health)
     fine = [None if error is None or not np.isfinite(error) else float(error) for error in errors]
     return {"law_error": fine[0], "oracle_law_error": fine[1]}
 

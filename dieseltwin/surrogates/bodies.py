@@ -89,13 +89,6 @@ class Body:
             h, dh = self.network.basis(x)
         return (h.numpy() - self.shift) @ self.mix, dh.numpy() @ self.mix * (2.0 / duration_s)
 
-    def states(self, heads: ArrayLike, column: str, time01: ArrayLike) -> tuple[Floats, Floats]:
-        """States (n, m) [SI] and their rates [SI/s] of heads (k + 1, m) (paper, Eq. "mult-head derivative")."""
-        heads = np.asarray(heads, dtype=np.float64)
-        h, dh = self.basis(time01)
-        z = heads[0] + h @ heads[1:]
-        return TRANSFORMS[column].state(z), TRANSFORMS[column].slope(z) * (dh @ heads[1:])
-
     def training_minutes(self) -> dict[str, Floats]:
         """What the stored heads say of the training minutes, (301, 240) [SI] a state: Case-I, then Case-IV."""
         with torch.no_grad():

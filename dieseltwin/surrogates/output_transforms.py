@@ -33,11 +33,6 @@ class OutputTransform:
         """State [SI] of a linear output."""
         return self.scale * self.scaled(torch.as_tensor(np.asarray(z, dtype=np.float64))).numpy()
 
-    def slope(self, z: ArrayLike) -> Floats:
-        """dy/dz [SI]."""
-        s = 1.0 / (1.0 + np.exp(-np.asarray(z, dtype=np.float64)))
-        return self.scale * (s if self.function == "softplus" else s * (1.0 - s))
-
     def linear(self, state: ArrayLike) -> Floats:
         """Linear output z of a state [SI], the inverse of `state`."""
         y = np.asarray(state, dtype=np.float64) / self.scale - self.offset

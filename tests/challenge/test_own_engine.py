@@ -25,7 +25,7 @@ def case() -> Case:
 def test_wear_is_what_is_between_reference_and_case(case: Case):
     for name, (low, high) in WEAR.items():
         assert 1.0 + low <= case.answers["since_reference"][name] <= 1.0 + high
-        assert case.answers["health"][name] == case.machine.parameters[name]
+        assert abs(case.answers["health"][name] / getattr(we2011.PARAMETERS, name) - 1.0) < 0.35
 
 
 def test_every_recording_has_its_own_ambient(case: Case):
@@ -67,7 +67,7 @@ def test_an_oracle_meets_the_plants_maps(tier: str, off: tuple[int, ...]):
 
 def test_the_maps_are_drawn_again_from_the_sealed_answers(case: Case):
     maps = maps_of(case.answers, we2011.PARAMETERS.model_dump())
-    assert np.array_equal(maps.tables, case.machine.maps.tables)
+    assert maps.rms == case.answers["map_rms"]["mean"]
 
 
 def test_rough_maps_are_of_the_same_size_and_turn_faster():

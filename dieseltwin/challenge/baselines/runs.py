@@ -118,7 +118,7 @@ def baseline_rows(folder: Path, rows: Sequence[CaseRow]) -> dict[str, list[CaseR
         over = {name: value / max(bands[name], _LEAST_BAND) for name, value in result["statistics"].items()}
         seconds = result["seconds"]
         silent = replace(
-            row, said=(), site=None, sites=(), law_error=None, p_value=None, problem=None,
+            row, said=(), site=None, law_error=None, p_value=None, problem=None,
             health_after=result["health"], health_before=result["health"], nll_after=row.nll_before,
         )  # fmt: skip
         found["health only"].append(replace(
