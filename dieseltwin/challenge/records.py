@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -20,6 +21,7 @@ from dieseltwin.challenge.own_engine import TIERS
 from dieseltwin.challenge.plant_effects import FAMILIES, Fault
 from dieseltwin.challenge.run import FAILED, RESULTS
 from dieseltwin.challenge.seal import SEALED
+from dieseltwin.challenge.stamps import code_sha256
 from dieseltwin.discovery.verdict.document import FILE_NAME, NONE_OF_THESE, Discrepancy, load_discrepancy
 from dieseltwin.engine import HEALTH, EngineParameters, we2011
 from dieseltwin.engine.engine_files import load_engine
@@ -28,7 +30,14 @@ from dieseltwin.errors import InputError
 from dieseltwin.paths import file_sha256
 from dieseltwin.recordings.reader import Recording, read_recording
 from dieseltwin.sealed import opened_json, read_json, sealed_json
+from dieseltwin.settings.params import default_search
 
+_SCORER = (
+    *(f"challenge/{name}.py" for name in (
+        "records", "oracle", "laws", "map_errors", "plant", "plant_constants", "plant_effects", "actuators", "sensors"
+    )), "engine", "discovery/likelihood", "discovery/twins", "discovery/search/preparation.py", "recordings/noise.py",
+    "least_squares.py",
+)  # fmt: skip
 _OURS = ("a file of `challenge run`", "remove the case's results and run it again")
 COUNTED_RATIO = 3.0
 """Detection, sites and names are counted from this magnitude over tolerance on (docs/benchmark.md)."""
@@ -330,7 +339,10 @@ def _law_errors(
 
 
 def _stamp(result: Path) -> str:
-    return file_sha256(result / FILE_NAME) + file_sha256(result / "engine.yaml")
+    """What scores of a result depend on: its files, the scorer's code, the settings that its fits look up."""
+    files = [file_sha256(result / name) for name in (FILE_NAME, "engine.yaml", "engine_before.yaml")]
+    settings = hashlib.sha256(default_search().model_dump_json().encode()).hexdigest()
+    return " ".join([*files, code_sha256(*_SCORER), settings])
 
 
 def _lasting(engine: EngineParameters) -> EngineParameters:

@@ -23,22 +23,25 @@ from dieseltwin.challenge.cases import MAP_RMS, PETROL, POINTS, Tier
 from dieseltwin.challenge.make import MANIFEST
 from dieseltwin.challenge.processes import in_processes
 from dieseltwin.challenge.seal import check_file
+from dieseltwin.challenge.stamps import code_sha256
 from dieseltwin.discovery.verdict.document import FILE_NAME, Discrepancy
 from dieseltwin.discovery.verdict.explain import plain
 from dieseltwin.engine import EngineParameters, we2011
 from dieseltwin.errors import InputError
+from dieseltwin.paths import file_sha256
 from dieseltwin.petrol.calibrate import fit_maps
 from dieseltwin.petrol.discover import discover_petrol
 from dieseltwin.petrol.parameters import PetrolParameters, load_petrol, save_petrol
 from dieseltwin.petrol.recording import read_petrol
 from dieseltwin.recordings.reader import Recording, read_recording
 from dieseltwin.recordings.steady_points import SteadyPoints, beside_reference, read_points
-from dieseltwin.sealed import opened_json, sealed_json, sealed_text
+from dieseltwin.sealed import opened_json, read_json, sealed_json, sealed_text
 from dieseltwin.settings.strict import unknown_name, validate
 
 RESULTS = "results"
 FAILED = "failed.json"
 _PACKAGE = Path(__file__).parents[1]
+_OURS = ("a file of `challenge run`", "remove it and run it again")
 
 Discover = Callable[..., Any]
 """(recording, engine, withhold=, map_tolerance=, seed=) -> `curves.Discovery`."""
@@ -136,8 +139,10 @@ def run_challenge(
     kept = len(wanted) - len(pending)
     now = pending[:limit] if limit is not None else pending
     if manifest["tier"] == PETROL:
+        if not now:
+            return {"done": 0, "failed": 0, "kept": kept, "left": len(pending)}
         work: Callable[[Mapping[str, Any]], str] = partial(
-            run_drawn_case, folder, know=partial(_calibrated, folder), judge=_judge_petrol
+            run_drawn_case, folder, know=partial(_known_petrol, _calibrated(folder, now[0])), judge=_judge_petrol
         )
     elif manifest["tier"] == POINTS:
         work = partial(run_drawn_case, folder, know=_healthy_points, judge=_judge_points)
@@ -243,14 +248,26 @@ def _judge_points(recording: Path, healthy: Sequence[SteadyPoints]) -> Said:
     return document(found), partial(write_engine, found.engine())
 
 
-def _calibrated(folder: Path, references: Sequence[Path]) -> PetrolParameters:
-    """The engine of a petrol benchmark, calibrated on its healthy recording once and kept in `results`: that takes
-    longer than a verdict."""
-    kept = folder / RESULTS / "petrol_engine.yaml"
-    if not kept.is_file():
+def _calibrated(folder: Path, entry: Mapping[str, Any]) -> Path:
+    """File of the engine of a petrol benchmark, calibrated on its healthy recording and kept in `results`: that takes
+    longer than a verdict. Done again where recording or calibration are no longer those that it came from.
+
+    Args:
+        folder: of the benchmark; entry: of any of its cases, as all have the same reference.
+    """
+    healthy = _checked_references(folder, entry)[0]
+    kept, stamp = folder / RESULTS / "petrol_engine.yaml", folder / RESULTS / "petrol_engine.json"
+    of = {"of": f"{file_sha256(healthy)} {code_sha256('petrol')}"}
+    if not (kept.is_file() and stamp.is_file() and read_json(stamp, *_OURS) == of):
         kept.parent.mkdir(parents=True, exist_ok=True)
-        save_petrol(fit_maps(read_petrol(references[0]).signals, PetrolParameters())[0], kept)
-    return load_petrol(kept)
+        stamp.unlink(missing_ok=True)
+        save_petrol(fit_maps(read_petrol(healthy).signals, PetrolParameters())[0], kept)
+        write_json(stamp, sealed_json(of))
+    return kept
+
+
+def _known_petrol(engine: Path, _: Sequence[Path]) -> PetrolParameters:
+    return load_petrol(engine)
 
 
 def _failed(folder: Path, entry: Mapping[str, Any], error: Exception, seconds: float) -> str:

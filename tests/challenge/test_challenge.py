@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dieseltwin.challenge import metrics
+from dieseltwin.challenge import metrics, records
 from dieseltwin.challenge.cases import HEALTH_SPREAD, make_plans
 from dieseltwin.challenge.make import make_challenge
 from dieseltwin.challenge.metrics import Share
@@ -196,7 +196,7 @@ def test_a_case_that_fails_is_a_failure(folder: Path) -> None:
     assert "no result" in (out / "failures.csv").read_text()
 
 
-def test_score_uses_the_librarys_functions_once(folder: Path) -> None:
+def test_score_uses_the_librarys_functions_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run_challenge(folder, discover=pretended)
     calls = []
 
@@ -210,6 +210,13 @@ def test_score_uses_the_librarys_functions_once(folder: Path) -> None:
     count = len(calls)
     assert (row.nll_before, row.nll_after) == (5.0, 2.0) and count >= 2
     assert case_row(folder, answers[0], scoring) == row and len(calls) == count
+    before = folder / RESULTS / answers[0]["case"] / "engine_before.yaml"
+    before.write_bytes((before.parent / "engine.yaml").read_bytes())
+    assert case_row(folder, answers[0], scoring).nll_before == 2.0
+    count = len(calls)
+    monkeypatch.setattr(records, "code_sha256", lambda *parts: "another scorer")
+    case_row(folder, answers[0], scoring)
+    assert len(calls) > count
 
 
 def test_score_files(folder: Path) -> None:

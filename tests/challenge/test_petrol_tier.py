@@ -11,6 +11,7 @@ import pytest
 from dieseltwin.challenge import petrol_cases
 from dieseltwin.challenge.petrol_cases import FAMILIES, draw_petrol
 from dieseltwin.challenge.records import petrol_truth
+from dieseltwin.challenge.run import _calibrated
 from dieseltwin.cli.app import main
 from dieseltwin.errors import InputError
 from dieseltwin.petrol.effects import HYPOTHESES
@@ -46,7 +47,9 @@ def test_the_same_seed_draws_the_same_machine(short: None) -> None:
     assert all(np.isfinite(table[column]).all() for column in table)
 
 
-def test_made_run_and_scored(short: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_made_run_and_scored(
+    short: None, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     out, jobs = tmp_path / "sealed_petrol", ("--jobs", "1")
     assert main(["challenge", "make", "--tier", "petrol", "--n", "2", "--seed", "5", "--out", str(out), *jobs]) == 0
     manifest = json.loads((out / "manifest.json").read_text())
@@ -54,6 +57,11 @@ def test_made_run_and_scored(short: None, tmp_path: Path, capsys: pytest.Capture
     opened = json.dumps(manifest)
     assert ONLY not in opened and "magnitude" not in opened
     assert main(["challenge", "run", str(out), *jobs]) == 0
+    kept = (out / "results" / "petrol_engine.yaml").stat().st_mtime_ns
+    entry = manifest["cases"][0]
+    assert _calibrated(out, entry).stat().st_mtime_ns == kept
+    monkeypatch.setattr("dieseltwin.challenge.run.code_sha256", lambda *parts: "another calibration")
+    assert _calibrated(out, entry).stat().st_mtime_ns > kept
     assert main(["challenge", "score", str(out), *jobs]) == 0
     said = capsys.readouterr().out
     score = json.loads((out / "score" / "score.json").read_text())
