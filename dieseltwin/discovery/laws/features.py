@@ -12,7 +12,7 @@ from dieseltwin.discovery.likelihood.fit import Fit, Linearisation
 from dieseltwin.discovery.likelihood.known import KnownErrors
 from dieseltwin.discovery.likelihood.nuisance import signal_responses
 from dieseltwin.discovery.likelihood.score import spread, without_parameters
-from dieseltwin.discovery.twins.interface import Array, Twin, WithExactResponses, law_scope_of
+from dieseltwin.discovery.twins.interface import Array, LawScope, Point, Twin, WithExactResponses, law_scope_of
 
 _OF_SPEED = (2.0, 3.0)  # powers lost to bearings and to a fluid that is stirred
 _LOCAL_WIDTHS = (0.12,)  # of the range driven; the law search has finer ones
@@ -74,8 +74,8 @@ class Structure:
 
 def generic_features(twin: Twin, fit: Fit) -> list[Feature]:
     """One constant per point, one proportional to each port, a hole to the surroundings where a balance has a pressure,
-    losses of a shaft; dead time, lag and play of each actuator, which no function of the moment comes near; offset and
-    gain per sensor."""
+    losses of a shaft; dead time, lag and play of each actuator, lags of fuel and gas, which no function of the moment
+    comes near; offset and gain per sensor."""
     variables = {**twin.variables(fit.lanes()), "time_s": twin.time_s}
     scope = law_scope_of(twin)
     found = []
@@ -97,20 +97,28 @@ def generic_features(twin: Twin, fit: Fit) -> list[Feature]:
                 for power in _OF_SPEED:
                     form = Form(point.name, (Factor("signed_power", (port,), (size,), power, (unit_of(port, {}),)),))
                     found += _of_form(index, f"{port}^{power:g}", form, point.site, variables)
-        if point.unit == "%" and point.name in variables:
-            for factor in operators(point, point.unit):
-                if scope.kinds is not None and factor.kind not in scope.kinds:
-                    continue
-                form = Form(point.name, (factor,), 1.0)
-                text = f"{factor.kind.replace('_', ' ')} {factor.shape:g}"
-                effect = scope.commands.get((factor.kind, point.name))
-                found += [replace(f, effect=effect) for f in _of_form(index, text, form, point.site, variables)]
+        found += _of_operators(index, point, scope, variables)
     ones = np.ones(twin.time_s.size)
     for j, name in enumerate(() if isinstance(twin, KnownErrors) else twin.channels):  # balances are no sensors
         site = f"sensor:{name}"
         for text in ("offset", "gain"):
             same = (h.name for h in twin.hypotheses.values() if h.site == site and h.name.endswith(f"_{text}"))
             found.append(Feature(None, text, ones, site, j, effect=next(same, None)))
+    return found
+
+
+def _of_operators(index: int, point: Point, scope: LawScope, variables: Mapping[str, Array]) -> list[Feature]:
+    """Dead times, lags and plays of an actuator; of other quantities the lags that the twin has as effects."""
+    command = point.unit == "%"
+    if point.name not in variables or not (command or point.name in scope.lags):
+        return []
+    found: list[Feature] = []
+    for factor in operators(point, point.unit if command else unit_of(point.name, scope.units)):
+        if (scope.kinds is None or factor.kind in scope.kinds) and (command or factor.kind == "lag"):
+            effect = scope.commands.get((factor.kind, point.name)) if command else scope.lags[point.name]
+            text = f"{factor.kind.replace('_', ' ')} {factor.shape:g}"
+            features = _of_form(index, text, Form(point.name, (factor,), 1.0), point.site, variables)
+            found += [replace(feature, effect=effect) for feature in features]
     return found
 
 

@@ -22,6 +22,8 @@ LAW_SCOPE = LawScope(
     channel_units=SENSOR_UNITS,
     commands={(e.enters.operator, f"u_{e.enters.name}"): e.name for e in EFFECTS.values()
               if e.enters.through == "command"},
+    lags={e.enters.name: e.name for e in EFFECTS.values()
+          if e.enters.operator == "lag" and e.enters.through in ("gas", "input")},
     holes={"intake_balance": "boost_leak", "exhaust_balance": "exhaust_leak"},
 )  # fmt: skip
 """What laws of the diesel engine may be made of, where rows aren't slow."""

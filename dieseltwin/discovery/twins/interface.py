@@ -86,6 +86,7 @@ class LawScope:
         variables: names; None for all that the ports name.
         units: of variables.
         commands: operators that act on an actuator's command, before its lags: (kind, point) -> effect that does it.
+        lags: lags of other quantities that the twin has as effects: point -> effect.
         holes: point -> effect that is a hole from there to the surroundings.
         lagging_sensors: channels whose reading may lag.
         channel_units: of an offset of each channel.
@@ -95,6 +96,7 @@ class LawScope:
     variables: tuple[str, ...] | None = None
     units: Mapping[str, str] = field(default_factory=dict)
     commands: Mapping[tuple[str, str], str] = field(default_factory=dict)
+    lags: Mapping[str, str] = field(default_factory=dict)
     holes: Mapping[str, str] = field(default_factory=dict)
     lagging_sensors: tuple[str, ...] = ()
     channel_units: Mapping[str, str] = field(default_factory=dict)
