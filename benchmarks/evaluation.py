@@ -32,11 +32,9 @@ from dieseltwin.paper.evaluation import tables as evaluation
 from dieseltwin.paper.evaluation.ensembles import CASES, case_problems, member_table
 from dieseltwin.recordings.reader import read_recording
 from dieseltwin.sensors import relative_noise
-from dieseltwin.settings.methods import EXACT, in_order, names
+from dieseltwin.settings.methods import EXACT, find, in_order, names
 from dieseltwin.settings.params import load_params
-from dieseltwin.surrogates.bodies import Bodies
-from dieseltwin.surrogates.empirical import EmpiricalMaps
-from dieseltwin.surrogates.operators import ActuatorOperators
+from dieseltwin.surrogates.files import networks_for
 
 LEARNED = tuple(method.name for method in in_order() if method.needs.maps != EXACT)
 """Methods that run with what `--models` holds; the others have exact formulae and bodies of their own."""
@@ -56,16 +54,11 @@ def clean_problems(path: Path, params: Any) -> list[Any]:
     return [replace(p, true_initial=row) for p, row in zip(problems, initial, strict=True)]
 
 
-def networks(folder: Path | None, left_out: Sequence[str]) -> dict[str, Any]:
-    """The paper's bodies, maps and operators of a folder, less those left out."""
-    if folder is None:
+def networks(method: str, folder: Path | None, left_out: Sequence[str]) -> dict[str, Any]:
+    """What a method of `LEARNED` needs of a folder's networks, with the paper's maps, less those left out."""
+    if folder is None or method not in LEARNED:
         return {}
-    given: dict[str, tuple[Any, str]] = {
-        "bodies": (Bodies, "bodies_paper.pt"),
-        "maps": (EmpiricalMaps, "maps_paper.pt"),
-        "operators": (ActuatorOperators, "operators.pt"),
-    }
-    return {name: kind.load(folder / file) for name, (kind, file) in given.items() if name not in left_out}
+    return {kind: net for kind, net in networks_for(find(method), folder, "paper").items() if kind not in left_out}
 
 
 def main() -> None:
@@ -107,14 +100,13 @@ def main() -> None:
     config = params.identify
     for name in LEARNED:
         config = config.changed(name, **changed)
-    given = networks(arguments.models, arguments.leave_out)
     with tempfile.TemporaryDirectory() as temporary:
         for case in arguments.cases:
             problems = case_problems(clean, case, arguments.members, arguments.noise_seed, arguments.channels)
             true = np.array([truth[name] for name in HEALTH])
             bounds = [cramer_rao([p], true, np.asarray(p.true_initial)[:3])[0].relative for p in problems]
             for method in arguments.methods:
-                learned = given if method in LEARNED else {}
+                learned = networks(method, arguments.models, arguments.leave_out)
                 began = time.process_time()
                 found = identify_segments(problems, method, arguments.members, arguments.seed, config=config, **learned)
                 cpu = (time.process_time() - began) / (arguments.members * len(problems))

@@ -27,14 +27,12 @@ import h5py
 import numpy as np
 import pandas as pd
 import scipy.io
+from drawn_machine import DrawnMachine
 from kept import keep, kept_lines
 from pages import table, write_table
 
 import dieseltwin as dt
-from dieseltwin.challenge.cases import HEALTH_SPREAD, MAP_RMS, MapErrors, SensorSet, draw_driving
-from dieseltwin.challenge.plant import run_plant
 from dieseltwin.challenge.plant_effects import Fault
-from dieseltwin.challenge.sensors import read
 from dieseltwin.engine import HEALTH, we2011
 
 SEED, LEAK_M2, SECONDS = (20261121, 0), 2.5e-5, 600.0
@@ -70,13 +68,7 @@ class Format:
 def drive() -> pd.DataFrame:
     """The recording (n,) of all columns, with the ambient pressure that a bus sends too [SI, columns' units]."""
     rng = np.random.default_rng(SEED)
-    laboratory = we2011.PARAMETERS.model_dump()
-    health = {name: laboratory[name] * (1.0 + rng.uniform(-s, s)) for name, s in HEALTH_SPREAD.items()}
-    maps, sensors = MapErrors.draw(MAP_RMS["main"], rng), SensorSet.draw(rng)
-    driving = draw_driving("random", SECONDS, laboratory, rng)
-    leak = Fault("boost_leak", LEAK_M2)
-    run = run_plant(driving, {**laboratory, **health}, (leak,), maps)
-    return read(run, driving, (leak,), sensors, 6, rng)
+    return DrawnMachine.draw(SECONDS, rng).recorded([Fault("boost_leak", LEAK_M2)], rng)
 
 
 def german(frame: pd.DataFrame) -> pd.DataFrame:

@@ -28,16 +28,13 @@ import asammdf
 import can
 import cantools
 import numpy as np
+from drawn_machine import DrawnMachine
 from kept import keep, kept_lines
 from pages import table, write_table
 
-from dieseltwin.challenge.cases import HEALTH_SPREAD, MAP_RMS, MapErrors, SensorSet, draw_driving
-from dieseltwin.challenge.driving import INPUTS, Driving
-from dieseltwin.challenge.plant import run_plant
 from dieseltwin.challenge.plant_effects import Fault
-from dieseltwin.challenge.sensors import NOISE_REL, SENSORS, shown
+from dieseltwin.challenge.sensors import NOISE_REL, SENSORS
 from dieseltwin.discovery.verdict.document import load_discrepancy
-from dieseltwin.engine import we2011
 from dieseltwin.report.discovery_words import sentence
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -80,19 +77,13 @@ class Newcomer:
 
 def _drive(number: int, fault: Fault) -> dict[str, np.ndarray]:
     """Ten minutes of the plant at 100 Hz, readings without noise (n,) [SI, columns' units]."""
-    rng = np.random.default_rng([SEED, number])
-    laboratory = we2011.PARAMETERS.model_dump()
-    health = {name: laboratory[name] * (1.0 + rng.uniform(-s, s)) for name, s in HEALTH_SPREAD.items()}
-    maps, sensors = MapErrors.draw(MAP_RMS["main"], rng), SensorSet.draw(rng)
-    coarse = draw_driving("random", SECONDS, laboratory, rng)
-    fine_s = np.linspace(coarse.time_s[0], coarse.time_s[-1], FINE_HZ // 5 * (coarse.time_s.size - 1) + 1)
-    columns = {column: np.interp(fine_s, coarse.time_s, getattr(coarse, column)) for column in INPUTS}
-    fine = Driving(fine_s, **columns, kind=coarse.kind)
-    run = run_plant(fine, {**laboratory, **health}, (fault,), maps)
-    ambient = {"p_amb_pa": laboratory["p_amb"], "t_amb_k": laboratory["T_amb"], "oil": 368.0, "coolant": 358.0}
-    fuel = 1e-6 * columns["u_delta_mg"] * columns["n_e_rpm"] * CYLINDERS / 120.0
-    return {"time_s": fine_s, **columns, **shown(run, fine, (fault,), sensors), "fuel": fuel,
-            **{name: np.full(fine_s.size, value) for name, value in ambient.items()}}  # fmt: skip
+    machine = DrawnMachine.draw(SECONDS, np.random.default_rng([SEED, number]))
+    drive = machine.noiseless([fault], machine.driving.columns(), FINE_HZ)
+    known = machine.parameters
+    ambient = {"p_amb_pa": known["p_amb"], "t_amb_k": known["T_amb"], "oil": 368.0, "coolant": 358.0}
+    fuel = 1e-6 * drive["u_delta_mg"] * drive["n_e_rpm"] * CYLINDERS / 120.0
+    return {**drive, "fuel": fuel,
+            **{name: np.full(fuel.size, value) for name, value in ambient.items()}}  # fmt: skip
 
 
 def _read(drive: Mapping[str, np.ndarray], quantity: str, hz: float, rng: np.random.Generator) -> np.ndarray:

@@ -18,16 +18,15 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from drawn_machine import DrawnMachine
 from kept import keep, kept_lines
 from pages import table, write_table
 
 import dieseltwin as dt
-from dieseltwin.challenge.cases import HEALTH_SPREAD, MAP_RMS, MapErrors, SensorSet, draw_driving
-from dieseltwin.challenge.driving import INPUTS, Driving
-from dieseltwin.challenge.plant import run_plant
+from dieseltwin.challenge.driving import INPUTS
 from dieseltwin.challenge.plant_effects import Fault
-from dieseltwin.challenge.sensors import NOISE_REL, SENSORS, shown
-from dieseltwin.engine import HEALTH, we2011
+from dieseltwin.challenge.sensors import NOISE_REL, SENSORS
+from dieseltwin.engine import HEALTH
 from dieseltwin.paper.datasets import make_validation, simulated
 from dieseltwin.settings.params import Params, load_params
 
@@ -95,17 +94,9 @@ def identified(number: int, name: str, params: Params) -> dict[str, Any]:
 
 def leaking(name: str) -> pd.DataFrame:
     """Ten minutes of the benchmark's plant with a leak at 50 Hz, without noise."""
-    rng = np.random.default_rng([SEED, 0])
-    laboratory = we2011.PARAMETERS.model_dump()
-    health = {name: laboratory[name] * (1.0 + rng.uniform(-s, s)) for name, s in HEALTH_SPREAD.items()}
-    maps, sensors = MapErrors.draw(MAP_RMS["main"], rng), SensorSet.draw(rng)
-    coarse = draw_driving("random", 600.0, laboratory, rng)
-    fine_s = np.linspace(coarse.time_s[0], coarse.time_s[-1], FINE_HZ // 5 * (coarse.time_s.size - 1) + 1)
-    driving = inputs_at(name, pd.DataFrame(coarse.columns()))
-    columns = {column: np.interp(fine_s, driving["time_s"], driving[column]) for column in INPUTS}
-    fine, leak = Driving(fine_s, **columns, kind=coarse.kind), Fault("boost_leak", LEAK_M2)
-    run = run_plant(fine, {**laboratory, **health}, (leak,), maps)
-    return pd.DataFrame({"time_s": fine_s, **columns, **shown(run, fine, (leak,), sensors)})
+    machine = DrawnMachine.draw(600.0, np.random.default_rng([SEED, 0]))
+    inputs = inputs_at(name, pd.DataFrame(machine.driving.columns()))
+    return pd.DataFrame(machine.noiseless([Fault("boost_leak", LEAK_M2)], inputs, FINE_HZ))
 
 
 def discovered(name: str) -> dict[str, Any]:

@@ -17,15 +17,14 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from drawn_machine import DrawnMachine
 from kept import keep, kept_lines
 from pages import table, write_table
 
 import dieseltwin as dt
-from dieseltwin.challenge.cases import HEALTH_SPREAD, MAP_RMS, MapErrors, SensorSet, draw_driving
-from dieseltwin.challenge.plant import run_plant
 from dieseltwin.challenge.plant_effects import Fault
-from dieseltwin.challenge.sensors import SENSORS, read
-from dieseltwin.engine import HEALTH, we2011
+from dieseltwin.challenge.sensors import SENSORS
+from dieseltwin.engine import HEALTH
 from dieseltwin.engine.effects import EFFECTS
 
 SEED = 8301
@@ -49,14 +48,8 @@ OUT_OF_REACH = 10.0  # times the smallest size that six sensors show
 def recorded(name: str) -> tuple[pd.DataFrame, dict[str, float]]:
     """The recording of a machine with all sensors, and its health."""
     rng = np.random.default_rng([SEED, list(MACHINES).index(name)])
-    laboratory = we2011.PARAMETERS.model_dump()
-    health = {key: laboratory[key] * (1.0 + rng.uniform(-s, s)) for key, s in HEALTH_SPREAD.items()}
-    maps, sensors = MapErrors.draw(MAP_RMS["main"], rng), SensorSet.draw(rng)
-    driving = draw_driving("random", 600.0, laboratory, rng)
-    fault = MACHINES[name]
-    faults = () if fault is None else (fault,)
-    run = run_plant(driving, {**laboratory, **health}, faults, maps)
-    return read(run, driving, faults, sensors, len(SENSORS), rng), health
+    machine, fault = DrawnMachine.draw(600.0, rng), MACHINES[name]
+    return machine.recorded([] if fault is None else [fault], rng), machine.health
 
 
 def judged(machine: str, chosen: str) -> dict[str, Any]:

@@ -211,14 +211,16 @@ def test_the_benchmark_gives_the_learned_parts_to_every_method_that_uses_them(
         return SimpleNamespace(segments=bodies)
 
     monkeypatch.setattr(benchmark, "clean_problems", lambda *_: clean)
-    monkeypatch.setattr(benchmark, "networks", lambda *_: {"maps": "learned"})
+    monkeypatch.setattr(benchmark, "networks_for", lambda *_: {"maps": "learned"})
     monkeypatch.setattr(benchmark, "identify_segments", fake)
     command = ["evaluation.py", "--members", "2", "--cases", "noisy-301", "--models", "models", "--methods"]
     monkeypatch.setattr("sys.argv", [*command, *names()])
     benchmark.main()
     assert {method for method, learned in given.items() if learned} == {"few-shot-adam", "baseline", "multi-stage"}
-    for wrong in (["multi_stage"], ["classical"]):
+    one_stream = ["few-shot-adam", "--seed", "5", "--noise-seed", "5"]  # starts would be made of the noise's numbers
+    for wrong in (["multi_stage"], ["classical"], one_stream):
         monkeypatch.setattr("sys.argv", [*command, *wrong])
         with pytest.raises(SystemExit):
             benchmark.main()
-    assert "multi-stage" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "multi-stage" in said and "--noise-seed" in said
