@@ -36,6 +36,7 @@ from dieseltwin.paper.loop_settings import AdamConfig
 from dieseltwin.paper.loops.averaging import TailMean
 from dieseltwin.paper.loops.compiled_loss import Place, gradient_function
 from dieseltwin.paper.loops.few_shot_program import LANES, METHOD, Lane, Program, draw_lane, make_program, start_values
+from dieseltwin.paper.loops.losses import data_misfit
 
 if TYPE_CHECKING:
     from dieseltwin.settings.params import IdentifyConfig
@@ -209,12 +210,7 @@ def train(
     with torch.no_grad():
         loss = program(z, masked, weights)
         states, _ = program.states(z)
-    present = program.observed.present
-    scale = torch.tensor(program.observed.scales.channels, dtype=values.dtype)
-    pointwise = loss.mean_squares * present[..., :4].transpose(1, 2).sum(-1, keepdim=True)
-    t_em = loss.single[:, 0] * present[..., 4].sum(-1)
-    squares = torch.cat([pointwise.sum(-1), t_em[:, None]], 1) * (scale / sigma).square()
-    misfit = squares.sum(-1) / present.sum((1, 2)).clamp(min=1.0)
+    misfit = data_misfit(loss, program.observed, sigma)
     return Trained(
         torch.stack(curve_health, 1).double().numpy(), mean.physical().numpy(),
         torch.stack(states, -1).double().numpy(), torch.stack(curve_loss, 1).double().numpy(),

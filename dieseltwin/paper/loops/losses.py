@@ -150,6 +150,14 @@ def total_loss(residuals: PhysicsResiduals, states: tuple[Tensor, ...], weights:
     return Loss(total, channels, (t_em.detach(), physics[4].detach()))
 
 
+def data_misfit(loss: Loss, observed: Observed, sigma: Tensor) -> Tensor:
+    """Sum of squared data residuals over sigma (L, 5) [SI], divided by the number of readings, (L,)."""
+    present = observed.present
+    means = torch.cat([loss.mean_squares.sum(-1), loss.single[:, :1]], 1)
+    scale = sigma.new_tensor(observed.scales.channels)
+    return (means * present.sum(1) * (scale / sigma).square()).sum(-1) / present.sum((1, 2)).clamp(min=1.0)
+
+
 def weights_gradient(loss: Loss, weights: Weights) -> Weights:
     """Derivative of the total loss by the unmasked weights; the weights go up it, everything else goes down.
 

@@ -14,16 +14,15 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from dieseltwin.engine import actuate
+from dieseltwin.engine import HEALTH, actuate
 from dieseltwin.errors import InputError
-from dieseltwin.identification.few_shot.residuals import HEALTH, physics_residuals
 from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.result import SegmentEstimate
 from dieseltwin.identification.unknowns import to_physical
@@ -32,7 +31,7 @@ from dieseltwin.paper.loops.averaging import TailMean
 from dieseltwin.paper.loops.compiled_loss import Place
 from dieseltwin.paper.loops.few_shot_adam import BETA_1, BETA_2, CURVE_POINTS, EPSILON, Trained, estimate_of
 from dieseltwin.paper.loops.few_shot_program import LANES, Lane, Program, draw_lane, make_program
-from dieseltwin.paper.loops.losses import starting_weights
+from dieseltwin.paper.loops.losses import data_misfit, starting_weights, total_loss
 from dieseltwin.paper.loops.network_loops import epoch_function
 from dieseltwin.paper.loops.pinn_networks import StateNetworks
 
@@ -182,7 +181,7 @@ def train(
         loss = program(place.z, masked, place.weights)
         curve.add(program, place, loss.total)
         states, _ = program.states(place.z)
-        misfit = _misfit(program, loss, torch.tensor(sigma, dtype=values.dtype))
+        misfit = data_misfit(loss, program.observed, torch.tensor(sigma, dtype=values.dtype))
     found = Trained(
         torch.stack(curve.health, 1).double().numpy(), mean.physical().numpy(),
         torch.stack(states, -1).double().numpy(), torch.stack(curve.loss, 1).double().numpy(),
@@ -203,13 +202,10 @@ class _Curve:
     @torch.no_grad()
     def add(self, program: Program, place: Place, total: Tensor) -> None:
         z, masked = place.z, place.masked
-        loss = program(z, masked, place.weights)
-        physical = to_physical(masked, torch)
-        self.health.append(physical)
+        self.health.append(to_physical(masked, torch))
         self.loss.append(total.clone())
-        states, rates = program.states(z)
-        c = program.c._replace(**dict(zip(HEALTH, physical.unsqueeze(-1).unbind(1), strict=True)))
-        residuals = physics_residuals(program.model, states, rates, program.inputs, c)
+        residuals, states = program.residuals(z, masked)
+        loss = total_loss(residuals, states, place.weights, program.observed)
         terms = {
             f"loss_physics_{name}": (r / scale).square().mean(-1)
             for name, r, scale in zip(PHYSICS, residuals, program.observed.scales.physics, strict=False)
@@ -218,14 +214,6 @@ class _Curve:
         terms |= {f"loss_data_{name}": row for name, row in zip(DATA, data, strict=True)}
         for name, row in terms.items():
             self.terms.setdefault(name, []).append(row.detach())
-
-
-def _misfit(program: Program, loss: Any, sigma: Tensor) -> Tensor:
-    """Sum of squared data residuals over sigma, divided by their number, (L,)."""
-    present = program.observed.present
-    means = torch.cat([loss.mean_squares.sum(-1), loss.single[:, :1]], 1)
-    scale = sigma.new_tensor(program.observed.scales.channels)
-    return (means * present.sum(1) * (scale / sigma).square()).sum(-1) / present.sum((1, 2)).clamp(min=1.0)
 
 
 def make_lanes(
