@@ -30,8 +30,9 @@ def imported_names(tree: ast.AST, name: str, is_package: bool, known: frozenset[
 
     Modules in ``known`` are named in full, of others the top level.
     A string constant that is a known module's name counts as well ("pkg.module" or "pkg.module:function"): that is how
-    lazy registries import. What is imported for type checkers alone doesn't count, nor does a name that stands in
-    function annotations alone.
+    lazy registries import. A package that looks for modules along its own ``__path__`` imports all that are known below
+    it. What is imported for type checkers alone doesn't count, nor does a name that stands in function annotations
+    alone.
     """
     found: dict[str, set[str]] = {}
 
@@ -41,6 +42,10 @@ def imported_names(tree: ast.AST, name: str, is_package: bool, known: frozenset[
     nodes = tuple(_running(tree))
     used = {node.id for node in nodes if isinstance(node, ast.Name)}
     exported = is_package or "__all__" in used
+    if is_package and "__path__" in used:
+        for module in known:
+            if module.startswith(f"{name}."):
+                add(module, WHOLE)
     for node in nodes:
         if isinstance(node, ast.Import):
             for alias in node.names:

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from tasks.identify import declarations
 from tasks.run_context import Progress, step
 
 TABLES = ("cells", "beside_paper", "scores", "operators", "bodies", "maps", "calibration", "over_epochs",
@@ -159,7 +160,7 @@ def _linked(parts: dict[str, Path]) -> Iterator[Path]:
         yield Path(temporary)
 
 
-@step("evaluation-page", "page of the evaluation", expected_s=60.0)
+@step("evaluation-page", "page of the evaluation", expected_s=60.0, entries=declarations())
 def page(
     out: Path,
     progress: Progress,

@@ -94,6 +94,11 @@ def rests_on(method: Method) -> tuple[str, ...]:
     return (*method.modules, *(f"dieseltwin.surrogates.{CLASSES[kind][0]}" for kind in files_of(method.needs)))
 
 
+def declarations() -> tuple[str, ...]:
+    """Modules that declare the methods, for steps that show results of any of them: with its name, rank and style."""
+    return tuple(method.modules[0] for method in in_order())
+
+
 def steps_of_all() -> dict[str, Step]:
     """Method -> its step, for every estimator that the library has."""
     return {

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from tasks.identify import declarations
 from tasks.run_context import Progress, current, step
 from tasks.store import RUNTIME, Artifact, content_hash
 
@@ -40,7 +41,7 @@ def _linked(folder: Path, methods: dict[str, Path]) -> None:
         (folder / name).symlink_to(path.resolve(), target_is_directory=True)
 
 
-@step("comparison", "comparison of the methods", expected_s=10.0)
+@step("comparison", "comparison of the methods", expected_s=10.0, entries=declarations())
 def comparison(
     out: Path,
     progress: Progress,
@@ -97,7 +98,7 @@ def _finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-@step("report", "report", expected_s=20.0)
+@step("report", "report", expected_s=20.0, entries=declarations())
 def report(
     out: Path,
     progress: Progress,

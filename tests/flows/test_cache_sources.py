@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import ast
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 import toy_steps
 from toy_library import write_toylib
 
-from tasks import identify, pretrain
+from tasks import evaluate, identify, pretrain, prove, report, watch
 from tasks.progress import Display
 from tasks.remembered import Remembered
 from tasks.run_context import RunContext
@@ -99,6 +101,37 @@ def test_imports_inside_functions_packages_and_lazy_registries_are_followed(libr
     (library / "toylib" / "sub" / "method.py").write_text("def run():\n    from ..scaling import scaled\n")
     modules = LibrarySources(library, "toylib").collect(["toylib.sub"]).modules
     assert set(modules) == {"toylib.sub", "toylib.sub.method", "toylib.scaling", "toylib.constants"}
+
+
+def test_a_package_that_finds_its_modules_by_itself_rests_on_all_of_them(library: Path) -> None:
+    (library / "toylib" / "sub").mkdir()
+    (library / "toylib" / "sub" / "__init__.py").write_text(
+        "import importlib, pkgutil\n\n"
+        "FOUND = [importlib.import_module(f'{__name__}.{m.name}') for m in pkgutil.iter_modules(__path__)]\n"
+    )
+    (library / "toylib" / "sub" / "one.py").write_text("from ..scaling import scaled\nHALF = scaled(0.25, 1)\n")
+    modules = LibrarySources(library, "toylib").collect(["toylib.sub"]).modules
+    assert set(modules) == {"toylib.sub", "toylib.sub.one", "toylib.scaling", "toylib.constants"}
+
+
+@pytest.mark.parametrize("entry", ["dieseltwin.engine", "dieseltwin.discovery", "dieseltwin.report.style"])
+def test_what_python_imports_is_in_the_digest(entry: str) -> None:
+    told = f"import sys, {entry}; print(*(m for m in sys.modules if m.startswith('dieseltwin.')))"
+    imported = subprocess.run([sys.executable, "-c", told], capture_output=True, text=True, check=True, cwd=PROJECT)
+    sources = LibrarySources(PROJECT)
+    # What a package's __init__ imports only to name it (dieseltwin.version) is none of the code.
+    files = {m for m in imported.stdout.split() if (PROJECT / f"{m.replace('.', '/')}.py").exists()}
+    assert files - set(sources.collect([entry]).modules) == {"dieseltwin.version"}
+
+
+def test_steps_rest_on_the_effects_and_pages_on_the_declared_methods() -> None:
+    context = RunContext(Workspace(PROJECT), Display(PROJECT / "unused"))
+    folder = PROJECT / "dieseltwin" / "engine" / "effects"
+    effects = {f"dieseltwin.engine.effects.{path.stem}" for path in folder.glob("[!_]*.py")}
+    for step in (identify.STEPS["classical"], prove.case, watch.watched):
+        assert effects <= set(step.code(context).modules)
+    for step in (report.comparison, report.report, evaluate.page):
+        assert set(identify.declarations()) <= set(step.code(context).modules)
 
 
 def test_versions_of_imported_packages_count(library: Path) -> None:
