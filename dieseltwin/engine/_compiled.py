@@ -230,17 +230,26 @@ def follow_lanes(time, u, tau):  # type: ignore[no-untyped-def]
     return out
 
 
+JUMP_S = 1e-6
+"""How long a jump takes in a signal that is linear between its break points [s]."""
+
+
 @kernel(**_OPTIONS)
 def follow_play(time, u, width):  # type: ignore[no-untyped-def]
-    """Break points of a play operator's output: times, values (2 n,) and how many of them there are."""
+    """Break points of a play operator's output: times, values (3 n,) and how many of them there are."""
     n = time.shape[0]
-    times, values = np.empty(2 * n), np.empty(2 * n)
+    times, values = np.empty(3 * n), np.empty(3 * n)
     times[0], values[0] = time[0], u[0]
     count = 1
     y = u[0]
     for i in range(n - 1):
         half = 0.5 * width[i]
-        y = play_output(y, u[i], half)  # the width may have changed
+        here = play_output(y, u[i], half)
+        if here != y:  # the play has become narrower, so that the output jumps
+            times[count - 1] = max(times[count - 1] - JUMP_S, times[count - 2])
+            times[count], values[count] = time[i], here
+            count += 1
+            y = here
         following = play_output(y, u[i + 1], half)
         if following != y:
             share = (play_edge(y, following, half) - u[i]) / (u[i + 1] - u[i])

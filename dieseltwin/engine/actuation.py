@@ -10,17 +10,16 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from dieseltwin.engine._compiled import follow_lags, follow_lanes, follow_play
+from dieseltwin.engine._compiled import JUMP_S, follow_lags, follow_lanes, follow_play
 from dieseltwin.engine.effect import Entry, Operator, Through
 from dieseltwin.engine.effects import ACTUATION_EFFECTS, EFFECTS
 from dieseltwin.engine.egr import egr_valve_position
 from dieseltwin.engine.inputs import DEFAULT_STEP_S, Actuation, Inputs, half_step_times, steps_between
 from dieseltwin.engine.parameters import EngineParameters, constants
-from dieseltwin.engine.terms import amounts
+from dieseltwin.engine.terms import amounts, effect_terms
 from dieseltwin.errors import InputError
 
 _BY_ENTRY = {EFFECTS[name].enters: name for name in ACTUATION_EFFECTS}
-_JUMP_S = 1e-6
 _OF_COMMANDS: tuple[Operator, ...] = ("stuck", "play", "dead_time")
 
 
@@ -53,7 +52,7 @@ def standing(
     at = np.where(still, position * acts, u)
     left = np.append(at[:1], np.where(still[:-1], at[:-1], u[1:]))  # what the interval before each sample ends with
     jumps = np.flatnonzero(left != at)
-    return np.insert(time_s, jumps, time_s[jumps] - _JUMP_S), np.insert(at, jumps, left[jumps])
+    return np.insert(time_s, jumps, time_s[jumps] - JUMP_S), np.insert(at, jumps, left[jumps])
 
 
 def _behind_dead_time(
@@ -65,8 +64,9 @@ def _behind_dead_time(
     breaks = [knots + delay]
     if more > 0.0:
         breaks.append(knots + delay + more)
-        if factor is not None:
-            breaks.append(time)
+        if factor is not None:  # it jumps where the factor does
+            jumps = time[1:][np.diff(factor) != 0.0]
+            breaks += [jumps - JUMP_S, jumps]
     inner = np.concatenate(breaks)
     merged = np.union1d(inner[(inner > start) & (inner < wanted[-1])], np.append(wanted, start))
     delayed = np.interp(merged, knots + delay, values)
@@ -206,6 +206,7 @@ def actuate(inputs: Inputs, parameters: EngineParameters, step_s: float | np.nda
     start, conditions = inputs.recording_start_s, inputs.columns
     rows = amounts(parameters.terms, ACTUATION_EFFECTS, inputs.clock_s, start, conditions)
     used = {name: row for name, row in zip(ACTUATION_EFFECTS, rows, strict=True) if row.any()}
-    magnitudes = {name: float(row.max()) for name, row in used.items()}
-    schedules = {name: row / row.max() for name, row in used.items() if row.min() < row.max()}
-    return actuate_with(inputs, parameters, magnitudes, schedules, step_s)
+    # Shares of what all terms come to: those of the largest row would depend on where the recording ends.
+    whole = {name: sum(t.magnitude for t in effect_terms(parameters.terms) if t.slot == name) for name in used}
+    schedules = {name: row / whole[name] for name, row in used.items() if (row != whole[name]).any()}
+    return actuate_with(inputs, parameters, whole, schedules, step_s)

@@ -16,6 +16,7 @@ from dieseltwin.engine.model import quantities
 from dieseltwin.engine.nozzle import leak_flow, nozzle_flow_factor
 from dieseltwin.engine.quantities import POINTS, Gas, OperatingPoint, Quantities, Signals
 from dieseltwin.engine.sensor_effects import apply_sensor_effects
+from dieseltwin.engine.terms import Term
 from dieseltwin.errors import InputError
 
 C = constants(we2011.PARAMETERS)
@@ -187,6 +188,12 @@ def test_play_is_rate_independent_and_has_no_memory_of_inner_loops(values: list[
     assert play(np.arange(inner.size, dtype=float), inner, width)[1][-1] == pytest.approx(slow, abs=1e-9)
 
 
+def test_where_play_ends_its_output_jumps_to_the_command() -> None:
+    time, u = np.arange(5.0), np.array([50.0, 60.0, 60.0, 60.0, 60.0])
+    knots, y = play(time, u, np.array([8.0, 8.0, 8.0, 0.0, 0.0]))
+    np.testing.assert_allclose(np.interp([1.0, 2.5, 2.99, 3.0, 4.0], knots, y), [56.0, 56.0, 56.0, 60.0, 60.0])
+
+
 def _inputs() -> Inputs:
     time = np.arange(0.0, 20.01, 0.2)
     wave = 50.0 + 30.0 * np.sin(0.8 * time)
@@ -197,6 +204,16 @@ def test_no_actuator_effect_is_the_plain_actuation() -> None:
     inputs = _inputs()
     plain = actuate(inputs, we2011.PARAMETERS)
     np.testing.assert_allclose(actuate_with(inputs, we2011.PARAMETERS, {}).grid, plain.grid, rtol=1e-12)
+
+
+def test_growing_dead_time_is_the_same_in_a_shorter_recording() -> None:
+    grows = Term(effect="egr_dead_time", magnitude=0.8, grown_s=40.0)
+    engine, inputs = we2011.PARAMETERS.replace(terms=[grows]), _inputs()
+    part = {name: values[:51] for name, values in {"time_s": inputs.time_s, **inputs.columns}.items()}
+    whole, begun = actuate(inputs, engine), actuate(Inputs(**part), engine)
+    np.testing.assert_allclose(begun.u_egr1[:50], whole.u_egr1[:50], rtol=1e-9)
+    before = actuate(inputs, we2011.PARAMETERS.replace(terms=[grows.model_copy(update={"grown_s": None})]))
+    assert np.abs(whole.u_egr1 - before.u_egr1).max() > 1.0
 
 
 def test_dead_time_delays_by_its_magnitude_and_from_its_onset() -> None:
