@@ -25,8 +25,8 @@ from dieseltwin.engine.terms import (
     law_terms,
 )
 
-WHEN = "double t, double t_end, Inputs begin, Inputs end"
-"""Arguments of every function that says where terms act: an interval between samples, times since the start [s]."""
+WHEN = "double t, Inputs begin, Inputs end"
+"""Arguments of every function that says where terms act: an interval between samples from t on [s since the start]."""
 
 _COMMANDS = {
     "egr_stuck": Entry("command", "egr", "stuck"), "vgt_stuck": Entry("command", "vgt", "stuck"),
@@ -103,21 +103,18 @@ class TermsInC:
 
     def _acting(self, term: EffectTerm | LawTerm) -> str:
         """Factor of a term over an interval, "" where it always acts wholly."""
-        conditions = [] if term.onset_s is None else [f"t >= {number(term.onset_s)}"]
-        conditions += [] if term.until_s is None else [f"t < {number(term.until_s)}"]
-        conditions += [f"!(t >= {number(gone)} && t < {number(again)})" for gone, again in term.gone_s]
-        for column, (low, high) in (term.region or {}).items():
-            conditions += [f"u.{column} >= {number(low)}", f"u.{column} <= {number(high)}"]
+        times = [] if term.onset_s is None else [f"t >= {number(term.onset_s)}"]
+        times += [] if term.until_s is None else [f"t < {number(term.until_s)}"]
+        times += [f"!(t >= {number(gone)} && t < {number(again)})" for gone, again in term.gone_s]
         parts = []
-        if not term.always:
-            self._count += 1
-            name = f"acts_{self._count}"
-            self.texts.append(
-                f"static double {name}(double t, Inputs u)\n{{\n    (void)t, (void)u;\n"
-                f"    return {' && '.join(conditions) or '1'} ? {_grown(term)} : 0.0;\n}}\n"
-            )
-            once = f"{name}(t, begin)"
-            parts.append(f"0.5 * ({once} + {name}(t_end, end))" if term.region else once)
+        if times or term.grown_s is not None:
+            name = self._factor("when", "double t", f"{' && '.join(times) or '1'} ? {_grown(term)} : 0.0")
+            parts.append(f"{name}(t)")
+        if term.region:
+            ranges = [f"u.{column} >= {number(low)} && u.{column} <= {number(high)}"
+                      for column, (low, high) in term.region.items()]  # fmt: skip
+            name = self._factor("where", "Inputs u", f"{' && '.join(ranges)} ? 1.0 : 0.0")
+            parts.append(f"0.5 * ({name}(begin) + {name}(end))")
         effect = EFFECTS[term.effect] if isinstance(term, Term) else None
         if isinstance(term, Term) and effect is not None and effect.follows is not None:
             self._count += 1
@@ -128,6 +125,13 @@ class TermsInC:
             )
             parts.append(f"{signature.name}(begin)")
         return " * ".join(parts)
+
+    def _factor(self, head: str, argument: str, value: str) -> str:
+        """Name of a function that says when or where a term acts."""
+        self._count += 1
+        name = f"{head}_{self._count}"
+        self.texts.append(f"static double {name}({argument})\n{{\n    return {value};\n}}\n")
+        return name
 
     def _amount(self, slots: Sequence[str]) -> str:
         """Sum of the magnitudes in some slots over an interval, "0.0" where there are none."""
@@ -151,7 +155,7 @@ class TermsInC:
 
     def _magnitudes(self) -> None:
         fields = [f".{name} = {self._amount([name])}," for name in self.state_effects] or [".none = 0.0,"]
-        unused = "(void)t, (void)t_end, (void)begin, (void)end;"
+        unused = "(void)t, (void)begin, (void)end;"
         self._function(f"Magnitudes magnitudes({WHEN})", [unused, "return (Magnitudes){", *(f"    {f}" for f in fields),
                        "};"], "Magnitudes of the effects over an interval [their units]; a drift's is rate times time.")
         gas = next(iter(n for n in self.state_effects if EFFECTS[n].enters.through == "gas"), "")
@@ -169,7 +173,7 @@ class TermsInC:
                 values[name.replace("more", "share")] = f"({amount}) / {number(most)}" if most else "0.0"
             else:
                 values[name] = amount
-        lines = ["(void)t, (void)t_end, (void)begin, (void)end;", "return (Actuators){",
+        lines = ["(void)t, (void)begin, (void)end;", "return (Actuators){",
                  *(f"    .{name} = {values[name]}," for name in ACTUATORS), "};"]  # fmt: skip
         self._function(f"Actuators actuators({WHEN})", lines,
                        "What acts on commands and inputs over an interval: where valves stand still and play [%], "
@@ -179,7 +183,7 @@ class TermsInC:
         laws = law_terms(self.terms)
         shares = [f"out[{k}] = {self._acting(law) or '1.0'};" for k, law in enumerate(laws)]
         self._function(f"void law_shares(double *out, {WHEN})",
-                       ["(void)out, (void)t, (void)t_end, (void)begin, (void)end;", *shares],
+                       ["(void)out, (void)t, (void)begin, (void)end;", *shares],
                        "How much of each law acts over an interval.")
         if not laws:
             return
@@ -230,7 +234,7 @@ class TermsInC:
     def _readings(self) -> None:
         amounts = [f"out[{k}] = {self._amount([slot])};" for k, slot in enumerate(self.readings)]
         self._function(f"void reading_amounts(double *out, {WHEN})",
-                       ["(void)out, (void)t, (void)t_end, (void)begin, (void)end;", *amounts],
+                       ["(void)out, (void)t, (void)begin, (void)end;", *amounts],
                        f"Magnitudes of the faults of sensors: {', '.join(self.readings) or 'none'}.")
 
     def reading_of(self, column: str, true_value: str) -> str:

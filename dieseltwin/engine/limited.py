@@ -82,18 +82,20 @@ class Limited(BaseModel):
         return region
 
     def factor(self, time_s: np.ndarray, start_s: float, conditions: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Share of its magnitude that the term has, shape (n,); half of it over an interval in which a condition leaves
-        its region.
+        """Share of its magnitude that the term has, shape (n,); half of it over an interval in which a condition enters
+        or leaves its region.
 
         Args:
             time_s: sample times [s], (n,); start_s: the recording's start, from which its times count.
             conditions: the input columns of `REGION_COLUMNS`, (n,) each.
         """
-        acts = np.ones(time_s.shape, dtype=bool)
-        for column, (low, high) in (self.region or {}).items():
-            acts &= (conditions[column] >= low) & (conditions[column] <= high)
         since = 0.0 if self.onset_s is None else self.onset_s
-        factor = acts * course(time_s - start_s, since, self.until_s, self.grown_s, self.gone_s)
-        if self.region:  # factors are held over the interval behind their sample; the edge lies somewhere inside
-            factor[:-1] = 0.5 * (factor[:-1] + factor[1:])
+        factor = course(time_s - start_s, since, self.until_s, self.grown_s, self.gone_s)
+        if self.region:
+            inside = np.ones(time_s.shape)
+            for column, (low, high) in self.region.items():
+                inside *= (conditions[column] >= low) & (conditions[column] <= high)
+            # Factors are held over the interval behind their sample; the region's edge lies somewhere inside.
+            inside[:-1] = 0.5 * (inside[:-1] + inside[1:])
+            factor = factor * inside
         return factor

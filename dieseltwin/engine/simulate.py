@@ -100,15 +100,17 @@ def simulate_states(
 
 def settle(
     n_e_rpm: float, u_delta_mg: float, u_egr_pct: float, u_vgt_pct: float, parameters: EngineParameters,
-    u_flap_pct: float | None = None,
+    u_flap_pct: float | None = None, elapsed_s: float = 0.0,
 ) -> np.ndarray:  # fmt: skip
     """States at rest p_im, p_em [Pa], omega_t [rad/s] at a constant operating point, shape (3,).
 
+    Terms act as they do `elapsed_s` [s] after the recording's start: what begins or grows later isn't there yet.
     The engine is not stable everywhere (light load, high speed); there it returns a state on the limit cycle.
     """
     time = np.array([0.0, SETTLE_S])
     n_e, u_delta, u_egr, u_vgt = (np.full(2, float(value)) for value in (n_e_rpm, u_delta_mg, u_egr_pct, u_vgt_pct))
-    inputs = Inputs(time, n_e, u_delta, u_egr, u_vgt, u_flap_pct=None if u_flap_pct is None else np.full(2, u_flap_pct))
+    inputs = Inputs(time, n_e, u_delta, u_egr, u_vgt, start_s=0.0, recorded_s=np.full(2, elapsed_s),
+                    u_flap_pct=None if u_flap_pct is None else np.full(2, u_flap_pct))  # fmt: skip
     actuation, batch = actuate(inputs, parameters), parameter_batch(parameters)
     state = np.array(SETTLE_START)
     for _ in range(_LAW_ROUNDS if law_terms(parameters.terms) else 1):
@@ -120,7 +122,7 @@ def settle_first(inputs: Inputs, parameters: EngineParameters) -> np.ndarray:
     """States at rest at the first row of a segment (after its history), shape (3,)."""
     first = {name: float(values[inputs.n_history]) for name, values in inputs.columns.items()}
     return settle(first.pop("n_e_rpm"), first.pop("u_delta_mg"), first.pop("u_egr_pct"), first.pop("u_vgt_pct"),
-                  parameters, **first)
+                  parameters, elapsed_s=float(inputs.clock_s[inputs.n_history]) - inputs.recording_start_s, **first)
 
 
 def simulate(

@@ -30,6 +30,7 @@ LAWS = (
             groups=(LawGroup(kind="bump", variables=("n_e",), centre=1300.0, reference=200.0),)),
     LawTerm(point="intake_balance", coefficient=-0.004, unit="kg/s",
             groups=(LawGroup(kind="orifice", variables=("p_im", "p_amb")),)),
+    LawTerm(point="intake_balance", coefficient=-2e-5, unit="kg/s", factors=(("t", 1.0, 1.0),)),
 )  # fmt: skip
 IN_REGION = {"n_e_rpm": (1000.0, 1500.0)}
 
@@ -78,6 +79,14 @@ def differences(expected: pd.DataFrame, got: pd.DataFrame) -> pd.Series:
                              SensorTerm(sensor="w_c_kg_s", fault="offset", magnitude=0.01)), 1e-6, id="learned"),
         pytest.param(_engine(Term(effect="thermocouple_lag", magnitude=0.8, onset_s=6.03, until_s=24.1)), 1e-6,
                      id="a lag that comes and goes"),
+        pytest.param(_engine(Term(effect="thermocouple_lag", magnitude=0.8, region=IN_REGION),
+                             Term(effect="egr_dead_time", magnitude=0.1, until_s=30.0),
+                             Term(effect="egr_dead_time", magnitude=0.2, onset_s=15.0),
+                             Term(effect="vgt_dead_time", magnitude=0.3, grown_s=120.0),
+                             Term(effect="egr_backlash", magnitude=8.0, until_s=30.1),
+                             Term(effect="vgt_backlash", magnitude=8.0, region=IN_REGION),
+                             Term(effect="boost_leak", magnitude=1e-4, onset_s=20.0,
+                                  region={"n_e_rpm": (500.0, 2000.0)})), 5e-6, id="in regions and for a time"),
         pytest.param(_engine(LEARNED, Term(effect="back_pressure", magnitude=1.6e5),
                              Term(effect="air_filter_restriction", magnitude=5e4)), 1e-6, id="learned, restricted"),
     ],

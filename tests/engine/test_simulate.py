@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from dieseltwin.engine import Inputs, actuate, load_engine, parameter_batch, settle, simulate, simulate_states, we2011
 from dieseltwin.engine.inputs import steps_between
 from dieseltwin.engine.manifolds import X_OC
+from dieseltwin.engine.terms import LawTerm, Term
 from dieseltwin.errors import InputError
 
 
@@ -129,6 +130,22 @@ def test_settled_state_is_at_rest() -> None:
         0, -1, :3
     ]
     np.testing.assert_allclose(later, start, rtol=1e-6)
+
+
+def test_at_rest_terms_act_as_they_do_at_the_first_row() -> None:
+    at = (1200.0, 100.0, 30.0, 50.0)
+    leak = Term(effect="boost_leak", magnitude=2e-4)
+    late = leak.model_copy(update={"onset_s": 60.0, "region": {"n_e_rpm": (500.0, 2000.0)}})
+    growing = LawTerm(point="intake_balance", coefficient=-2e-4, unit="kg/s", factors=(("t", 1.0, 1.0),))
+    published, leaking = settle(*at, we2011.PARAMETERS), settle(*at, we2011.PARAMETERS.replace(terms=[leak]))
+    assert leaking[0] < 0.9 * published[0]
+    for term, held_s, expected in ((late, 0.0, published), (growing, 0.0, published), (late, 61.0, leaking)):
+        rest = settle(*at, we2011.PARAMETERS.replace(terms=[term]), elapsed_s=held_s)
+        np.testing.assert_allclose(rest, expected, rtol=1e-6)
+    one = np.ones(20)
+    part = Inputs(75.0 + 0.2 * np.arange(20), *(value * one for value in at), start_s=10.0)
+    frame = simulate(part, we2011.PARAMETERS.replace(terms=[late]), oxygen=False)
+    np.testing.assert_allclose(frame["p_im_pa"], leaking[0], rtol=1e-6)
 
 
 def test_oxygen_and_driver_columns(field_trace) -> None:  # type: ignore[no-untyped-def]

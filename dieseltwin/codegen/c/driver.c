@@ -12,6 +12,8 @@ typedef struct {
 typedef struct {
     Constants c;
     double start_s, time_s;                    /* drifts and onsets count from start_s */
+    int at_start;                              /* coming to rest, terms act as they do at start_s */
+    int coming_to_rest;                        /* terms act as they do at start_s */
     Inputs inputs;                             /* at time_s */
     double p_im, p_em, omega_t;                /* states */
     double x_r, T_1;                           /* fixed point of the cylinder */
@@ -166,7 +168,7 @@ static void evaluate(Engine *e, OperatingPoint commanded, Gas gas, double t)
         x.T_1 = warm.T_1;
         e->q = exhaust_side(i, x, gas, m, all, c);
 #if LAWS
-        const Signals now = law_signals(e->q, commanded, t, e->law_share, c);
+        const Signals now = law_signals(e->q, commanded, e->at_start ? 0.0 : t, e->law_share, c);
         const double *new = (const double *)&now;
         double *last_s = (double *)&asked, *last_f = (double *)&answered, *at = (double *)&s, change = 0.0;
         for (int p = 0; p < SIGNALS; p++) {
@@ -226,15 +228,22 @@ static double limited(double x, double low, double high)
     return minimum(maximum(x, low), high);
 }
 
+/* What acts inside the engine over an interval from t on [s since the start]. */
+static void hold_terms(Engine *e, double t, Inputs begin, Inputs end)
+{
+    const double when = e->at_start ? 0.0 : t;
+    e->m = magnitudes(when, begin, end);
+    law_shares(e->law_share, when, begin, end);
+}
+
 /* Everything at time_s, for inputs that run to `next` over the following dt [s]. */
 static void engine_hold(Engine *e, Inputs next, double dt)
 {
     const double t = e->time_s - e->start_s;
     const double x[3] = {e->p_im, e->p_em, e->omega_t};
     next = clipped(next);
-    e->m = magnitudes(t, t + dt, e->inputs, next);
-    law_shares(e->law_share, t, t + dt, e->inputs, next);
-    reading_amounts(e->amount, t, t + dt, e->inputs, next);
+    hold_terms(e, t, e->inputs, next);
+    reading_amounts(e->amount, t, e->inputs, next);
     const double tau = thermal_inertia(e->m);
     for (int sweep = 0; sweep < SAMPLE_SWEEPS; sweep++)
         evaluate(e, point(e, x, e->inputs.n_e_rpm), gas_held(e, tau), t);
@@ -249,7 +258,7 @@ static inline void engine_jump(Engine *e, Inputs u)
 {
     const double t = e->time_s - e->start_s;
     e->inputs = clipped(u);
-    if (actuators(t, t, e->inputs, e->inputs).u_delta_lag <= 0.0)
+    if (actuators(t, e->inputs, e->inputs).u_delta_lag <= 0.0)
         e->u_delta = e->inputs.u_delta_mg;
     engine_hold(e, e->inputs, 0.0);
 }
@@ -262,9 +271,8 @@ static void engine_step(Engine *e, Inputs begin, Inputs end, double dt)
     end = clipped(end);
     const double t = e->time_s - e->start_s;
     e->inputs = begin;
-    e->m = magnitudes(t, t + dt, begin, end);
-    law_shares(e->law_share, t, t + dt, begin, end);
-    const Actuators f = actuators(t, t + dt, begin, end);
+    const Actuators f = actuators(e->at_start ? 0.0 : t, begin, end);
+    hold_terms(e, t, begin, end);
     const Inputs from = standing(begin, f), to = standing(end, f);
     command_run(&e->egr, &e->play_egr, t, dt, from.u_egr_pct, to.u_egr_pct, f.egr_play);
     command_run(&e->vgt, &e->play_vgt, t, dt, from.u_vgt_pct, to.u_vgt_pct, f.vgt_play);
@@ -273,7 +281,7 @@ static void engine_step(Engine *e, Inputs begin, Inputs end, double dt)
     const double high[3] = {P_IM_HIGH * c.p_amb, P_EM_HIGH * c.p_amb, OMEGA_HIGH};
     double readings_before[READINGS], held[READINGS];
     reading_values(e, readings_before);
-    reading_amounts(held, t, t, begin, begin);
+    reading_amounts(held, t, begin, end);
 
     const int steps = (int)maximum(ceil(dt / LONGEST_STEP_S - STEP_TOLERANCE), 1.0);
     const double h = dt / steps;
@@ -334,12 +342,14 @@ static void engine_start(Engine *e, double time_s, Inputs u, double p_im, double
     e->c = derived(e->c);
     if (isnan(p_im) || isnan(p_em) || isnan(omega_t)) {
         engine_start(e, 0.0, u, SETTLE_START[0], SETTLE_START[1], SETTLE_START[2]);
+        e->at_start = 1;
         engine_step(e, u, u, SETTLE_S);
         p_im = isnan(p_im) ? e->p_im : p_im;
         p_em = isnan(p_em) ? e->p_em : p_em;
         omega_t = isnan(omega_t) ? e->omega_t : omega_t;
     }
     e->start_s = e->time_s = time_s;
+    e->at_start = 0;
     e->inputs = u;
     e->p_im = p_im;
     e->p_em = p_em;
@@ -348,15 +358,14 @@ static void engine_start(Engine *e, double time_s, Inputs u, double p_im, double
     e->T_1 = T_1_START;
     e->T_gas = e->T_em = T_GAS_START;
     e->u_delta = u.u_delta_mg;
-    const Inputs at = standing(u, actuators(0.0, 0.0, u, u));
+    const Inputs at = standing(u, actuators(0.0, u, u));
     e->u_egr1 = e->u_egr2 = e->play_egr = at.u_egr_pct;
     e->u_vgt = e->play_vgt = at.u_vgt_pct;
     command_start(&e->egr, 0.0, at.u_egr_pct);
     command_start(&e->vgt, 0.0, at.u_vgt_pct);
     e->signals = (Signals){0};
     e->q = (Quantities){.p_bc = e->c.p_amb, .p_es = e->c.p_amb};
-    e->m = magnitudes(0.0, 0.0, u, u);
-    law_shares(e->law_share, 0.0, 0.0, u, u);
+    hold_terms(e, 0.0, u, u);
     const double x[3] = {p_im, p_em, omega_t};
     for (int sweep = 0; sweep < START_SWEEPS; sweep++) /* at rest: the gas, too */
         evaluate(e, point(e, x, u.n_e_rpm), (Gas){e->T_gas, 1.0, 0.0}, 0.0);
