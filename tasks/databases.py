@@ -23,7 +23,7 @@ MLFLOW, PREFECT = "DIESELTWIN_MLFLOW", "DIESELTWIN_PREFECT"
 _DRIVERS = {MLFLOW: "psycopg", PREFECT: "asyncpg"}
 _SCHEME = "postgresql://"
 _ADDRESS = re.compile(r"postgresql://[^/@\s]*(:[^/@\s]*)?@?[^/@\s]+/[^/\s]+")
-_PASSWORD = re.compile(r"(?<=:)[^:/@]*(?=@)")
+_PASSWORD = re.compile(r"(//[^:]*:).*(?=@)", re.DOTALL)  # up to the last @: it may hold any of / : @
 _CONNECT_S = 5
 _THEIRS = {"mlflow", "sqlalchemy", "alembic", "sqlite3", "psycopg", "prefect", "httpx"}  # packages of errors
 _LOCK = 20250  # of PostgreSQL's advisory locks: any number that is ours
@@ -37,7 +37,7 @@ def address(variable: str) -> str | None:
 
 def shown(uri: str) -> str:
     """An address without its password."""
-    return _PASSWORD.sub("...", uri)
+    return _PASSWORD.sub(r"\1...", uri)
 
 
 def check_settings() -> None:

@@ -31,6 +31,9 @@ def test_a_setting_names_a_server_with_the_driver_of_each(tmp_path: Path, monkey
     assert found["MLFLOW_TRACKING_URI"] == "postgresql+psycopg://me:secret@db:5432/rows"
     assert found["PREFECT_SERVER_DATABASE_CONNECTION_URL"] == "postgresql+asyncpg://me:secret@db:5432/rows"
     assert databases.shown("postgresql://me:secret@db:5432/rows") == "postgresql://me:...@db:5432/rows"
+    for password in ("a/b", "a@b", "a:b", "/@:"):
+        assert databases.shown(f"postgresql://me:{password}@db:5432/rows") == "postgresql://me:...@db:5432/rows"
+    assert databases.shown("postgresql://me@db:5432/rows") == "postgresql://me@db:5432/rows"
 
 
 @pytest.mark.parametrize("given", ["mysql://me@db/rows", "postgresql://", "rows", "http://db:5000"])
