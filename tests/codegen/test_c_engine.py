@@ -151,6 +151,24 @@ def test_what_the_program_can_not_use_is_refused(compiler: str, tmp_path: Path):
         assert subprocess.run(command, capture_output=True, check=False).returncode == 2
 
 
+def test_earlier_results_stay_until_new_ones_are_whole(compiler: str, tmp_path: Path):
+    program = build(_engine(), compiler, tmp_path)
+    good = "time_s,n_e_rpm,u_delta_mg,u_egr_pct,u_vgt_pct\n0,1200,100,0,50\n0.2,1200,100,0,50\n"
+    given, out = tmp_path / "i.csv", tmp_path / "o.csv"
+    given.write_text(good)
+    for same in (given, f"{tmp_path}/./i.csv"):
+        done = subprocess.run([program, given, same], capture_output=True, text=True, check=False, timeout=20)
+        assert done.returncode == 2 and "another file" in done.stderr and given.read_text() == good
+    subprocess.run([program, given, out], check=True)
+    earlier = out.read_text()
+    piped = subprocess.run([program, given, "/dev/stdout"], check=True, capture_output=True, text=True).stdout
+    assert piped == earlier and earlier.count("\n") == 3
+    given.write_text(good + "0.4,1200,,0,50\n")
+    assert subprocess.run([program, given, out], capture_output=True, check=False).returncode == 2
+    assert out.read_text() == earlier
+    assert {path.name for path in tmp_path.iterdir()} == {"engine", "engine.c", "i.csv", "o.csv"}
+
+
 def test_inputs_follow_the_effects():
     assert input_columns(_engine()) == ("n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")
     assert "u_flap_pct" in input_columns(_engine(Term(effect="exhaust_flap", magnitude=1e5)))

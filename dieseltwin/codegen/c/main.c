@@ -4,8 +4,36 @@
 #ifndef DIESELTWIN_LIBRARY
 
 #include <errno.h>
+#if defined(__unix__) || defined(__APPLE__)
+#include <sys/stat.h>
 
-static const char *unfinished; /* the file that is being written; none is left behind half-written */
+/* Whether it is there and no file, as /dev/stdout, which can't be replaced. */
+static int is_device(const char *path)
+{
+    struct stat about;
+    return !stat(path, &about) && !S_ISREG(about.st_mode);
+}
+
+/* Whether two names are those of one file. */
+static int is_same(const char *one, const char *other)
+{
+    struct stat a, b;
+    return !stat(one, &a) && !stat(other, &b) && a.st_dev == b.st_dev && a.st_ino == b.st_ino;
+}
+#else
+static int is_device(const char *path)
+{
+    (void)path;
+    return 0;
+}
+
+static int is_same(const char *one, const char *other)
+{
+    return !strcmp(one, other);
+}
+#endif
+
+static char *unfinished; /* the file that is being written; none is left behind half-written */
 
 static void fail(const char *what, const char *got, const char *allowed)
 {
@@ -132,10 +160,20 @@ int main(int count, char **arguments)
     if (!line)
         fail(arguments[1], "no rows", "two rows or more");
     parse(line, at, now, 1);
-    FILE *out = fopen(arguments[2], "w");
+    if (is_same(arguments[1], arguments[2]) && !is_device(arguments[2]))
+        fail(arguments[2], "the file of the inputs", "another file for the results");
+    if (!is_device(arguments[2])) { /* results take the place of earlier ones when all of them are there */
+        static const char ENDING[] = ".partial";
+        const size_t length = strlen(arguments[2]);
+        unfinished = malloc(length + sizeof ENDING);
+        if (!unfinished)
+            fail("memory", "none left", "a shorter name");
+        memcpy(unfinished, arguments[2], length);
+        memcpy(unfinished + length, ENDING, sizeof ENDING);
+    }
+    FILE *out = fopen(unfinished ? unfinished : arguments[2], "w");
     if (!out)
         fail(arguments[2], strerror(errno), "a file that can be written");
-    unfinished = arguments[2];
     for (int j = 0; j < N_OUTPUTS; j++)
         fprintf(out, "%s%s", j ? "," : "", OUTPUT_NAMES[j]);
     fputc('\n', out);
@@ -157,6 +195,12 @@ int main(int count, char **arguments)
     fclose(in);
     if (ferror(out) | fclose(out))
         fail(arguments[2], strerror(errno), "room for the results");
+    if (unfinished && rename(unfinished, arguments[2])) {
+        remove(arguments[2]); /* some systems don't rename to a name that is taken */
+        if (rename(unfinished, arguments[2]))
+            fail(arguments[2], strerror(errno), "a file that can be written");
+    }
+    free(unfinished);
     return 0;
 }
 
