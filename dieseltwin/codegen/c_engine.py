@@ -190,7 +190,7 @@ def _numbers(engine: EngineParameters, terms: TermsInC, laws: int, named: dict[s
     driver = {
         **kernel, "T_GAS_START": _compiled_extended.T_GAS_START, "LONGEST_STEP_S": DEFAULT_STEP_S,
         "STEP_TOLERANCE": STEP_TOLERANCE, "SETTLE_S": SETTLE_S, **({"LAW_SETTLED": LAW_SETTLED} if laws else {}),
-        "LONGEST_DELAY_S": max(engine.tau_degr, engine.tau_dvgt, 1.0) + terms.longest_dead_time_s,
+        "LONGEST_DEAD_TIME_S": terms.longest_dead_time_s,
     }  # fmt: skip
     values = {name: number(value) for name, value in driver.items()} | named
     whole = {

@@ -130,6 +130,16 @@ def test_parameters_and_the_start_can_be_given(drive: Inputs, compiler: str, tmp
     assert differences(expected, pd.read_csv(tmp_path / "out.csv")).drop(["x_oim", "x_oem"]).max() < 1e-6
 
 
+def test_a_dead_time_that_is_given_is_remembered_for_as_long(compiler: str, tmp_path: Path):
+    time = np.arange(6000) * 1e-3
+    wave = 30.0 + 20.0 * np.sin(3.0 * time)
+    one = np.ones(time.size)
+    inputs = Inputs(time, 1200.0 * one, 100.0 * one, wave, 50.0 * one)
+    got = run(build(_engine(), compiler, tmp_path), inputs, "tau_degr=2.5")
+    expected = simulate(inputs, we2011.PARAMETERS.replace(tau_degr=2.5), oxygen=False)
+    assert differences(expected, got[list(expected)]).max() < 1e-6
+
+
 def test_what_the_program_can_not_use_is_refused(compiler: str, tmp_path: Path):
     program = build(_engine(), compiler, tmp_path)
     good = "time_s,n_e_rpm,u_delta_mg,u_egr_pct,u_vgt_pct\n0,1200,100,0,50\n0.2,1200,100,0,50\n"

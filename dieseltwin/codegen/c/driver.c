@@ -37,11 +37,12 @@ static void command_start(Command *k, double t, double u)
     k->count = 1;
 }
 
-static void command_add(Command *k, double t, double u)
+/* `delay`: how far back the command is read [s]. */
+static void command_add(Command *k, double t, double u, double delay)
 {
     if (k->count == KNOTS) { /* forget what lies further back than any dead time; if all is recent, every second point */
         int first = 0, kept = 0;
-        while (first + 2 < k->count && k->t[first + 1] < t - LONGEST_DELAY_S)
+        while (first + 2 < k->count && k->t[first + 1] < t - delay)
             first++;
         const int stride = first > KNOTS / 4 ? 1 : 2;
         for (int i = first; i < k->count; i += stride, kept++) {
@@ -63,20 +64,20 @@ static Inputs standing(Inputs u, Actuators f)
     return u;
 }
 
-/* The command runs from `from` to `to` over dt; *y is the output of the play. */
-static void command_run(Command *k, double *y, double t, double dt, double from, double to, double width)
+/* The command runs from `from` to `to` over dt; *y is the output of the play, `delay` as of `command_add`. */
+static void command_run(Command *k, double *y, double t, double dt, double from, double to, double width, double delay)
 {
     const double half = 0.5 * width;
     const double now = play_output(*y, from, half);
     if (now != *y)
-        command_add(k, t, now);
+        command_add(k, t, now, delay);
     const double next = play_output(now, to, half);
     if (next != now) {
         const double share = (play_edge(now, next, half) - from) / (to - from);
         if (share > 0.0 && share < 1.0)
-            command_add(k, t + share * dt, now);
+            command_add(k, t + share * dt, now, delay);
     }
-    command_add(k, t + dt, next);
+    command_add(k, t + dt, next, delay);
     *y = next;
 }
 
@@ -274,8 +275,10 @@ static void engine_step(Engine *e, Inputs begin, Inputs end, double dt)
     const Actuators f = actuators(e->at_start ? 0.0 : t, begin, end);
     hold_terms(e, t, begin, end);
     const Inputs from = standing(begin, f), to = standing(end, f);
-    command_run(&e->egr, &e->play_egr, t, dt, from.u_egr_pct, to.u_egr_pct, f.egr_play);
-    command_run(&e->vgt, &e->play_vgt, t, dt, from.u_vgt_pct, to.u_vgt_pct, f.vgt_play);
+    command_run(&e->egr, &e->play_egr, t, dt, from.u_egr_pct, to.u_egr_pct, f.egr_play,
+                c.tau_degr + LONGEST_DEAD_TIME_S + dt);
+    command_run(&e->vgt, &e->play_vgt, t, dt, from.u_vgt_pct, to.u_vgt_pct, f.vgt_play,
+                c.tau_dvgt + LONGEST_DEAD_TIME_S + dt);
     const double tau = thermal_inertia(e->m);
     const double low[3] = {P_IM_LOW * c.p_amb, P_EM_LOW * c.p_amb, OMEGA_LOW};
     const double high[3] = {P_IM_HIGH * c.p_amb, P_EM_HIGH * c.p_amb, OMEGA_HIGH};
