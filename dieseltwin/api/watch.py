@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -32,6 +32,7 @@ def watch(
     sensors: Sequence[str] | None = None,
     settings: WatchConfig | None = None,
     progress: Callable[[int, int, str], object] | None = None,
+    names: Mapping[str, str] | None = None,
 ) -> Watched:
     """Judge recordings one by one, add them to the history of their engine, and say whether it has changed.
 
@@ -46,6 +47,7 @@ def watch(
         sensors: columns to use; None is all that there are.
         settings: when to raise an alarm; `watch` of params.yaml.
         progress: is told of every recording when it is through: how many are, of how many, its name.
+        names: file -> what the history calls its recording, where that isn't the file's own name.
 
     Raises:
         InputError: an engine of which nothing was learned, a history of another engine, a damaged one.
@@ -61,7 +63,8 @@ def watch(
             sha256 = file_sha256(path) if path.is_file() else ""
             store.refuse_taken_out([sha256], str(path), date_in(path.name))
             there = bool(sha256) and store.holds(sha256)
-            entry = None if there else _added(store, *_asked(path, engine, learned, channels, sensors))
+            name = (names or {}).get(str(path), "")
+            entry = None if there else _added(store, *_asked(path, engine, learned, channels, sensors, name))
             if entry is None:
                 known.append(str(path))
             else:
@@ -118,13 +121,17 @@ def _learned(engine: str | Path) -> LearnedEngine:
 
 
 def _asked(
-    path: Path, engine: str | Path, learned: LearnedEngine, channels: Channels | None, sensors: Sequence[str] | None
-) -> tuple[DrivingQuestion, Dated]:
-    """A recording, read and checked, with its date."""
+    path: Path, engine: str | Path, learned: LearnedEngine, channels: Channels | None, sensors: Sequence[str] | None,
+    name: str = "",
+) -> tuple[DrivingQuestion, Dated]:  # fmt: skip
+    """A recording, read and checked, with its date; known by another name than its file's where one is given."""
     question = ask([import_columns(path, channels)], engine, channels, Asked(sensors), learned)
     day = dated(question.recording)
     if day is None:
         raise InputError(str(path), "no date", "a date in the file or in its name", "name it 2026-03-14.csv")
+    if name:
+        known = replace(question.recording, path=Path(name))
+        question, day = replace(question, recording=known), replace(day, recording=known)
     return question, day
 
 

@@ -6,7 +6,6 @@ import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -20,7 +19,6 @@ from dieseltwin.app.kept import (
     ABOUT,
     ACTIVE,
     BESIDE,
-    ENGINE,
     RESULT,
     UPLOADED,
     Job,
@@ -207,11 +205,6 @@ def _there(found: Any, what: str) -> Any:
     if found is None:
         raise HTTPException(404, f"There is no such {what} here; it may have been taken away.")
     return found
-
-
-def engine_file(store: Store, key: str) -> Path:
-    """The file of a kept engine."""
-    return store.engine_folder(key) / ENGINE
 
 
 def moment(text: str | None) -> Markup | str:

@@ -10,9 +10,9 @@ from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import UploadFile
 from starlette.responses import FileResponse, Response
 
-from dieseltwin.app.desk import SHIPPED, Desk, desk_of, engine_file, see
+from dieseltwin.app.desk import SHIPPED, Desk, desk_of, see
 from dieseltwin.app.history import Past, alarms_of, history_of, trends_of
-from dieseltwin.app.kept import BESIDE, DETAILS, HISTORY_PAGE, WATCHED, KeptEngine, content_of
+from dieseltwin.app.kept import BESIDE, DETAILS, ENGINE, HISTORY_PAGE, WATCHED, KeptEngine, content_of
 from dieseltwin.app.security import REPORT_POLICY
 from dieseltwin.app.workplace import MEGABYTE, shown_name
 
@@ -119,7 +119,7 @@ def part(request: Request, key: str) -> Response:
 @router.get("/engines/{key}/engine.yaml")
 def file(request: Request, key: str) -> Response:
     desk = desk_of(request)
-    path = engine_file(desk.store, desk.engine(key).id)
+    path = desk.store.engine_folder(desk.engine(key).id) / ENGINE
     if not path.is_file():
         return desk.refused(404, "This engine could not be read.", f"/engines/{key}")
     return FileResponse(path, media_type="application/octet-stream", filename="engine.yaml")

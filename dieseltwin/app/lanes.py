@@ -79,8 +79,9 @@ class Lanes:
         """How many jobs of its lane stand before a waiting one."""
         line = self._analyses if job.long else self._looks
         waiting = [key for key in list(line.queue) if key is not None]
-        running = sum(1 for key in list(self._running) if key != job.id)
-        return (waiting.index(job.id) if job.id in waiting else 0) + (running if job.long else 0)
+        others = [self.store.job(key) for key in list(self._running) if key != job.id] if job.long else []
+        running = sum(1 for other in others if other is not None and other.long)
+        return (waiting.index(job.id) if job.id in waiting else 0) + running
 
     def stop(self, key: str) -> None:
         """End a job, running or not."""
@@ -124,12 +125,11 @@ class Lanes:
                 return
             state = JobState(status="running", started=now())
             self.store.keep_state(job.id, state)
-            with (folder / LOG).open("wb") as log:
-                process = subprocess.Popen(
-                    [sys.executable, "-m", "dieseltwin.app.worker", str(self.store.workplace.folder), job.id,
-                     str(self.limits.memory_gb)],
-                    stdin=subprocess.PIPE, stdout=log, stderr=log, env=_environment(), start_new_session=True,
-                )  # fmt: skip
+            try:
+                process = self._started(job, folder / LOG)
+            except OSError as error:  # no memory or no process left, a full disk
+                self._fail(job, state, f"its process can't be started ({error.strerror}); start it again later")
+                return
             self._running[job.id] = process
         late = False
         try:
@@ -144,6 +144,18 @@ class Lanes:
                 self._running.pop(job.id, None)
         self._conclude(job, state, process.returncode, late)
 
+    def _started(self, job: Job, log: Path) -> subprocess.Popen[bytes]:
+        with log.open("wb") as file:
+            return subprocess.Popen(
+                [sys.executable, "-m", "dieseltwin.app.worker", str(self.store.workplace.folder), job.id,
+                 str(self.limits.memory_gb)],
+                stdin=subprocess.PIPE, stdout=file, stderr=file, env=_environment(), start_new_session=True,
+            )  # fmt: skip
+
+    def _fail(self, job: Job, state: JobState, words: str) -> None:
+        save(Outcome(error=words), self.store.job_folder(job.id) / OUTCOME)
+        self._end(job, "failed", state)
+
     def _conclude(self, job: Job, state: JobState, code: int, late: bool) -> None:
         if not self.store.job_folder(job.id).is_dir():  # taken away meanwhile
             return
@@ -155,9 +167,7 @@ class Lanes:
         elif self._closing.is_set():
             self._end(job, "interrupted", state)
         else:
-            save(Outcome(error=_last_words(code, late, self.limits.memory_gb)),
-                 self.store.job_folder(job.id) / OUTCOME)
-            self._end(job, "failed", state)
+            self._fail(job, state, _last_words(code, late, self.limits.memory_gb))
 
     def _end(self, job: Job, status: str, state: JobState) -> None:
         if status == "done":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +18,8 @@ from dieseltwin.settings.strict import read_mapping
 DATABASE_KEY = "dbc"
 DENSITY_KG_L = 0.835
 AS_IT_IS = ""
+MOST_CYLINDERS = 32
+_MOST_DIGITS = 9
 
 Content = dict[str, Any]
 """A channel map: foreign name -> {column, unit, scale, offset, via, ...}."""
@@ -151,9 +154,10 @@ def content_of(form: Mapping[str, str], names: Sequence[str], before: Content) -
         number = form.get(f"channel-{column}", "")
         if not number:
             continue
-        if not number.isdecimal() or int(number) >= len(names):
+        place = whole_number(number, 0, len(names) - 1)
+        if place is None:
             raise InputError(column, repr(number[:20]), "a channel of this file", "choose one of the list")
-        name = names[int(number)]
+        name = names[place]
         if name in content:
             raise InputError(f"channel {name!r}", f"chosen for {content[name]['column']} and {column}",
                              "one quantity for each channel", "choose another one")
@@ -173,7 +177,7 @@ def _entry(quantity: Quantity, form: Mapping[str, str], ambient_is_given: bool) 
         formula = quantity.formulas.get(entry["via"])
         if formula is not None:
             if formula[3]:
-                entry["cylinders"] = int(_number(form, "cylinders", 6.0))
+                entry["cylinders"] = cylinders_of(form.get("cylinders", "").strip() or "6")
             if AMBIENT in formula[2] and not ambient_is_given:
                 entry["ambient_pa"] = _number(form, "ambient_pa", STAND_IN_PA)
             if entry["via"].startswith("fuel_volume"):
@@ -190,9 +194,30 @@ def _number(form: Mapping[str, str], key: str, usual: float) -> float:
     if not text:
         return usual
     try:
-        return float(text)
+        value = float(text)
     except ValueError:
-        raise InputError(key, repr(text[:20]), "a number", "mend this field") from None
+        value = math.nan
+    if not math.isfinite(value):
+        raise InputError(key, repr(text[:20]), "a number", "mend this field")
+    return value
+
+
+def whole_number(text: str, low: int, high: int) -> int | None:
+    """The number that a field says; None for what is no whole number from low to high."""
+    digits = text.isdecimal() and len(text) <= _MOST_DIGITS
+    return int(text) if digits and low <= int(text) <= high else None
+
+
+def cylinders_of(text: str) -> int:
+    """The number of cylinders that a field says.
+
+    Raises:
+        InputError: another text, or no engine's number.
+    """
+    found = whole_number(text, 1, MOST_CYLINDERS)
+    if found is None:
+        raise InputError("cylinders", repr(text[:20]), f"1 to {MOST_CYLINDERS}", "mend this field")
+    return found
 
 
 def write_content(content: Content, path: Path) -> None:

@@ -14,7 +14,15 @@ from starlette.responses import FileResponse, Response
 from dieseltwin.api.channels import ENDINGS
 from dieseltwin.app.desk import Desk, desk_of, see
 from dieseltwin.app.kept import CHANNELS, MAP, OVERVIEW, KeptRecording, now
-from dieseltwin.app.mapping import common_values, content_of, form_rows, read_content, write_content
+from dieseltwin.app.mapping import (
+    common_values,
+    content_of,
+    cylinders_of,
+    form_rows,
+    read_content,
+    whole_number,
+    write_content,
+)
 from dieseltwin.app.workplace import MEGABYTE, new_id, shown_name
 from dieseltwin.errors import InputError
 from dieseltwin.settings.params import default_params_path
@@ -24,19 +32,13 @@ MOST_FIELDS = 300
 FIELD_BYTES = 100_000
 DATABASE = "bus.dbc"
 DATABASE_MB = 20
-MOST_CYLINDERS = 32
-
-
-def home_values(desk: Desk) -> dict[str, Any]:
-    """What the first page shows."""
-    return {"tab": "recordings", "recordings": desk.store.recordings(), "analyses": desk.analyses(),
-            "engine_name": desk.engine_name, "error": ""}  # fmt: skip
 
 
 @router.get("/")
 def home(request: Request) -> Response:
     desk = desk_of(request)
-    return desk.page("home.html.j2", **home_values(desk))
+    return desk.page("home.html.j2", tab="recordings", recordings=desk.store.recordings(), analyses=desk.analyses(),
+                     engine_name=desk.engine_name, error="")  # fmt: skip
 
 
 async def sent_form(request: Request, files: int) -> FormData:
@@ -157,12 +159,14 @@ async def look_again(request: Request, key: str) -> Response:
     desk = desk_of(request)
     kept = desk.recording(key)
     form = await sent_form(request, 0)
-    text = str(form.get("cylinders", "")).strip()
-    if not text.isdecimal() or not 1 <= int(text) <= MOST_CYLINDERS:
-        return _page(desk, kept, 422, f"cylinders: got {text[:20]!r}; allowed: 1 to {MOST_CYLINDERS}; mend this field")
+    try:
+        cylinders = cylinders_of(str(form.get("cylinders", "")).strip())
+    except InputError as error:
+        return _page(desk, kept, 422, error.line())
+    await run_in_threadpool(desk.lanes.stop, kept.look)  # it would write the map that it finds with the old number
     for name in (MAP, CHANNELS):
         (desk.store.recording_folder(key) / name).unlink(missing_ok=True)
-    look_into(desk, kept.model_copy(update={"cylinders": int(text)}))
+    look_into(desk, kept.model_copy(update={"cylinders": cylinders}))
     return see(f"/recordings/{key}")
 
 
@@ -183,8 +187,7 @@ async def ask(request: Request, key: str) -> Response:
     elif kind == "discover":
         job = desk.store.new_job("discover", f"What is left out of {kept.name}", (key,), engine)
     else:
-        runs = str(form.get("runs", "1"))
-        count = int(runs) if runs.isdecimal() and 1 <= int(runs) <= 20 else 1
+        count = whole_number(str(form.get("runs", "1")), 1, 20) or 1
         job = desk.store.new_job("identify", f"Health in {kept.name}", (key,), engine, runs=count,
                                  params=str(default_params_path().resolve()))  # fmt: skip
     desk.lanes.put(job)

@@ -10,7 +10,6 @@ from pathlib import Path
 import uvicorn
 from fastapi import FastAPI, Request
 from starlette.exceptions import HTTPException
-from starlette.formparsers import MultiPartException
 from starlette.requests import ClientDisconnect
 from starlette.responses import Response
 from starlette.staticfiles import StaticFiles
@@ -55,7 +54,6 @@ def create_app(workplace: Workplace) -> FastAPI:
     app.add_middleware(Guard, hosts=workplace.hosts, largest=workplace.limits.upload_mb * MEGABYTE)
     app.add_exception_handler(HTTPException, _http_error)
     app.add_exception_handler(InputError, _input_error)
-    app.add_exception_handler(MultiPartException, _form_error)
     app.add_exception_handler(TooLarge, _too_large)
     app.add_exception_handler(ClientDisconnect, _gone)
     return app
@@ -73,10 +71,6 @@ def _http_error(request: Request, error: Exception) -> Response:
 def _input_error(request: Request, error: Exception) -> Response:
     words = error.line() if isinstance(error, InputError) else str(error)
     return desk_of(request).refused(422, words)
-
-
-def _form_error(request: Request, error: Exception) -> Response:
-    return desk_of(request).refused(400, f"The form can't be read: {error}")
 
 
 def _too_large(request: Request, error: Exception) -> Response:

@@ -198,9 +198,12 @@ def _watch(worker: Worker) -> str:
     named.symlink_to(source)
     folder = worker.store.engine_folder(worker.job.engine)
     worker.stage("Judging the recording")
-    found = watch([named], worker.engine(), folder / HISTORY, channels=worker.map_of(kept))
+    found = watch([named], worker.engine(), folder / HISTORY, channels=worker.map_of(kept),
+                  names={str(named): kept.name})  # fmt: skip
     if found.refused:
         raise DieselTwinError(found.refused[0][1].replace(str(named), kept.name))
+    for line in found.lines():
+        worker.say(line.replace(str(named), kept.name))
     worker.stage("Writing the history")
     found.save(worker.result())
     write_text(folder / HISTORY_PAGE, (worker.result() / HISTORY_PAGE).read_text(encoding="utf-8"))
@@ -233,25 +236,32 @@ _KINDS: dict[str, Callable[[Worker], str]] = {
 }  # fmt: skip
 
 
-def _archive(worker: Worker) -> None:
+def _archive(worker: Worker, channel_map: bytes | None) -> None:
     """Everything of a result in one file to take away, with the channel map that it was read by."""
     with (atomic_path(worker.folder / ARCHIVE) as temporary,
           zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED) as zipped):
         for path in sorted(worker.result().rglob("*")):
             if path.is_file():
                 zipped.write(path, path.relative_to(worker.result()).as_posix())
-        if len(worker.job.recordings) == 1:
-            used = worker.map_of(worker.recording())
-            if used is not None:
-                zipped.write(used, MAP)
+        if channel_map is not None:
+            zipped.writestr(MAP, channel_map)
+
+
+def _map_read_by(worker: Worker) -> bytes | None:
+    """The channel map of a job's only recording: who takes that away later, or maps it anew, spoils no result."""
+    if len(worker.job.recordings) != 1:
+        return None
+    path = worker.map_of(worker.recording())
+    return None if path is None else path.read_bytes()
 
 
 def work(worker: Worker) -> Outcome:
     """Do the job; whatever happens is an outcome."""
     try:
+        channel_map = _map_read_by(worker) if worker.job.long else None
         sentence = _KINDS[worker.job.kind](worker)
         if worker.job.long:
-            _archive(worker)
+            _archive(worker, channel_map)
     except DieselTwinError as error:
         text = error.line() if isinstance(error, InputError) else one_line(str(error))
         return Outcome(error=worker.readable(text))

@@ -43,13 +43,11 @@ class Driving:
     Attributes:
         inputs: time_s and the four inputs at the demand's times (n rows).
         response: every quantity at 0.2 s, laboratory parameters at the baseline ambient.
-        passes: simulations until no limit was broken.
         limited_share: share of the rows whose fuel the smoke limit holds back [-].
     """
 
     inputs: pd.DataFrame
     response: pd.DataFrame
-    passes: int
     limited_share: float
 
 
@@ -91,7 +89,7 @@ def drive(
         response = loop.simulated()
         broken = loop.broken(response)
         if not any(broken.values()) and passes >= FREE_PASSES:
-            return Driving(loop.inputs, response, passes, loop.limited_share())
+            return Driving(loop.inputs, response, loop.limited_share())
         loop.tighten(response, may_open=passes < FREE_PASSES)
     raise NotConvergedError(
         f"driving {demand.name}: limits still broken after {MAX_PASSES} passes: {broken}; "

@@ -6,15 +6,36 @@ import gzip
 import subprocess
 import sys
 import time
+import zipfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from dieseltwin.app.kept import Job, JobState, KeptRecording, Outcome, Store, save
+import dieseltwin as dt
+from dieseltwin.api.driving import DrivingQuestion
+from dieseltwin.app.kept import (
+    ARCHIVE,
+    HISTORY,
+    MAP,
+    PROGRESS,
+    Job,
+    JobState,
+    KeptRecording,
+    Outcome,
+    Store,
+    save,
+)
 from dieseltwin.app.lanes import Lanes
+from dieseltwin.app.worker import _KINDS, Worker, work
 from dieseltwin.app.workplace import Limits, Workplace, new_id
 from dieseltwin.errors import InputError
+from dieseltwin.learning.history import Entry
+from dieseltwin.recordings.dates import Dated
+from tests.api.learned import learned_file
+from tests.api.simulated import drive
+from tests.learning.test_history import entry
 
 
 @pytest.fixture
@@ -95,6 +116,69 @@ def test_a_waiting_job_is_stopped(store: Store) -> None:
     assert lanes.ahead(job) == 0
     lanes.stop(job.id)
     assert store.state(job.id).status == "stopped"
+
+
+def test_before_an_analysis_stand_analyses_alone(store: Store) -> None:
+    look, running, waits = (store.new_job(kind, kind, ("0" * 16,)) for kind in ("channels", "discover", "identify"))
+    lanes = Lanes(store, lambda job: None)
+    process = subprocess.Popen(["true"])
+    process.wait()
+    lanes._running.update({look.id: process, running.id: process})
+    lanes.put(waits)
+    assert lanes.ahead(waits) == 1
+
+
+def test_a_process_that_can_not_be_started_is_a_failed_job(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(*args: object, **options: object) -> None:
+        raise BlockingIOError(11, "Resource temporarily unavailable")
+
+    monkeypatch.setattr("dieseltwin.app.lanes.subprocess.Popen", refused)
+    job = store.new_job("channels", "looking", (kept(store, "drive.csv", b"a;b\n1;2\n").id,))
+    lanes = Lanes(store, lambda job: None)
+    lanes._run(job)
+    outcome = store.outcome(job.id)
+    assert store.state(job.id).status == "failed" and outcome is not None
+    assert outcome.error == "its process can't be started (Resource temporarily unavailable); start it again later"
+
+
+def test_a_result_stays_whose_recording_goes_meanwhile(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    recording = kept(store, "drive.csv", b"a;b\n1;2\n")
+    (store.recording_folder(recording.id) / MAP).write_text("a: time_s\n")
+    job = store.new_job("discover", "searching", (recording.id,))
+    worker = Worker(store, job)
+
+    def found(worker: Worker) -> str:
+        worker.result().mkdir()
+        (worker.result() / "report.html").write_text("<p>report</p>")
+        store.remove(store.recording_folder(recording.id))
+        return "A leak."
+
+    monkeypatch.setitem(_KINDS, "discover", found)
+    assert work(worker) == Outcome(sentence="A leak.")
+    with zipfile.ZipFile(worker.folder / ARCHIVE) as zipped:
+        assert set(zipped.namelist()) == {"report.html", MAP} and zipped.read(MAP) == b"a: time_s\n"
+
+
+def test_a_history_names_the_recording_as_people_do_and_says_when_its_date_is_the_uploads(
+    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its search is left out: it takes a minute."""
+    mine, recording = learned_file(tmp_path), kept(store, "lorry 7.csv", drive(65.0).to_csv(index=False).encode())
+
+    def judged(found: object, day: Dated, sketched: str) -> Entry:
+        return replace(entry(0), path=str(day.recording.path), date_from=day.date_from)
+
+    monkeypatch.setattr(DrivingQuestion, "answer", lambda self: None)
+    monkeypatch.setattr("dieseltwin.api.watch._entry", judged)
+    monkeypatch.setattr(Worker, "engine", lambda self: mine)
+    engine = new_id()
+    store.engine_folder(engine).mkdir()
+    worker = Worker(store, store.new_job("watch", "in the history", (recording.id,), engine))
+    assert not work(worker).error
+    assert [one.path for one in dt.history(store.engine_folder(engine) / HISTORY).entries] == ["lorry 7.csv"]
+    told = (worker.folder / PROGRESS).read_text()
+    assert "lorry 7.csv: added" in told and "note: dated by the file's last change" in told
+    assert str(store.workplace.folder) not in told
 
 
 def test_a_file_that_would_burst_the_memory_fails_alone(store: Store) -> None:

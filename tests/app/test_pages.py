@@ -123,6 +123,13 @@ def test_what_is_no_recording_is_said_in_one_line(client: TestClient, wait_for: 
 def test_what_can_not_be_asked_is_refused(client: TestClient, recording: str) -> None:
     assert client.post(f"{recording}/ask", data={"kind": "delete", "engine": "we2011"}).status_code == 422
     assert client.post(f"{recording}/ask", data={"kind": "discover", "engine": "../../x"}).status_code == 422
+    for number in ("inf", "nan", "1e400", "9" * 5000, "0", "2.5"):
+        look = client.post(f"{recording}/look", data={"cylinders": number})
+        assert look.status_code == 422 and "allowed: 1 to 32" in look.text
+        form = {"channel-u_delta_mg": number}
+        assert client.post(f"{recording}/map", data=form).status_code == 422
+    for field in ("scale-p_im_pa", "offset-p_im_pa"):
+        assert client.post(f"{recording}/map", data={"channel-p_im_pa": "1", field: "1e400"}).status_code == 422
     history = client.post(f"{recording}/ask", data={"kind": "watch", "engine": "we2011"})
     assert history.status_code == 422 and "belongs to an engine that was learned" in history.text
     assert client.post("/engines/learn", data={"name": "x", "engine": "we2011"}).status_code == 422
