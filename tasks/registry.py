@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from dieseltwin.atomic import write_json
+from tasks.failures import StepFailed
 from tasks.model_folder import MODEL_FILE, NETWORKS
 from tasks.store import Artifact, content_hash
 from tasks.tracking import Record, Tracker
@@ -182,12 +183,13 @@ class Registry:
 
     def register(self, networks: Artifact, model: Artifact, experiment_id: str, tags: Mapping[str, str]) -> Version:
         """The version of these networks, made if it is new; the files of the model that holds them are copied beside
-        MLflow's other artifacts."""
-        for known in self.client.search_model_versions(f"name='{NAME}'"):
-            if known.tags.get(_HASH) == networks.sha256:
-                version = self._checked(known)
-                if version is not None and version.served:
-                    return version
+        MLflow's other artifacts, anew where they were lost or damaged.
+
+        Raises ``StepFailed`` where what was copied isn't what was given: no version is made of it then.
+        """
+        held = self._held(networks.sha256)
+        if held is not None:
+            return held
         files = {f"{_FOLDER}/{path.relative_to(model.path).as_posix()}": path for path in _files(model.path)}
         record = Record(
             "networks", f"registry model {networks.sha256}", artifacts=files, tags=dict(tags),
@@ -195,11 +197,24 @@ class Registry:
         )  # fmt: skip
         run_id = self.tracker.log(experiment_id, record)
         source = f"{self.client.get_run(run_id).info.artifact_uri}/{_FOLDER}"
+        copied = self._folder(source) / NETWORKS
+        if not copied.is_dir() or content_hash(copied) != networks.sha256:
+            raise StepFailed(f"networks: {copied} doesn't agree with what was trained, {model.path}; look whether the "
+                             "disk is full or something writes there, and run again")  # fmt: skip
+        held = self._held(networks.sha256)  # its files are whole again
+        if held is not None:
+            return held
         made = self.client.create_model_version(NAME, source, run_id, tags={_HASH: networks.sha256, **tags})
-        version = self._checked(made)
-        if version is None:
-            raise OSError(f"version {made.version} of {NAME}: its files don't agree with {model.path}")
-        return version
+        return Version(int(made.version), self._folder(source), networks.sha256)
+
+    def _held(self, sha256: str) -> Version | None:
+        """The version of networks of that hash, if it is whole and can be served."""
+        for known in self.client.search_model_versions(f"name='{NAME}'"):
+            if known.tags.get(_HASH) == sha256:
+                version = self._checked(known)
+                if version is not None and version.served:
+                    return version
+        return None
 
     def record(self, version: Version, decision: Decision, tests: Sequence[Mapping[str, Any]] = ()) -> None:
         """Set aliases and tags, write the tests beside the model. Before the alias moves, the champion becomes
@@ -226,11 +241,12 @@ class Registry:
         self.client.set_registered_model_alias(NAME, CHAMPION, number)
 
     def _checked(self, found: Any) -> Version | None:
-        place = str(found.source).removeprefix(_SCHEME).lstrip("/")
-        path = self.tracker.workspace.mlruns / "artifacts" / place
         wanted = found.tags.get(_HASH)
-        version = Version(int(found.version), path, str(wanted))
+        version = Version(int(found.version), self._folder(str(found.source)), str(wanted))
         return version if version.path.is_dir() and content_hash(version.path) == wanted else None
+
+    def _folder(self, source: str) -> Path:
+        return self.tracker.workspace.mlruns / "artifacts" / source.removeprefix(_SCHEME).lstrip("/")
 
 
 def _told(test: Mapping[str, Any]) -> str:

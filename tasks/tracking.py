@@ -10,6 +10,7 @@ Artifacts are written to where ``mlflow server --artifacts-destination mlruns/ar
 
 from __future__ import annotations
 
+import filecmp
 import json
 import logging
 import math
@@ -132,11 +133,16 @@ class Tracker:
         return f"/#/experiments/{found.experiment_id}/runs{view}"
 
     def log(self, experiment_id: str, record: Record) -> str:
-        """Log a record and its children; returns the run id. An equal record that is complete is left as it is."""
+        """Log a record and its children; returns the run id. An equal record that is complete is left as it is, but for
+        files of it that were lost or damaged."""
         _ = self.client  # whose first use takes the lock itself
         # SQLite takes one writer at a time: of thirty at once it refuses some after five seconds.
         with self._alone() if self.uri.startswith("sqlite") else nullcontext():
-            return self._known(experiment_id, record.identity) or self._logged(experiment_id, record)
+            known = self._known(experiment_id, record.identity)
+            if known is None:
+                return self._logged(experiment_id, record)
+            self._copy(self.client.get_run(known).info.artifact_uri, record.artifacts)
+            return known
 
     def datasets(self, experiment_id: str, tag: str, value: str) -> frozenset[str]:
         """Digests (`digest_of`) of what the finished runs with that tag were made from."""
@@ -215,6 +221,8 @@ class Tracker:
         folder = self.workspace.mlruns / "artifacts" / uri.removeprefix(_SCHEME).lstrip("/")
         for name, source in artifacts.items():
             target = folder / name
+            if target.is_file() and filecmp.cmp(source, target, shallow=False):
+                continue
             target.parent.mkdir(parents=True, exist_ok=True)
             partial = target.with_name(f"{target.name}.{os.getpid()}.partial")
             shutil.copyfile(source, partial)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from tasks.failures import StepFailed
 from tasks.model_folder import MODEL_FILE, NETWORKS
 from tasks.registry import CHALLENGER, CHAMPION, NAME, PREVIOUS, Registry, decide
 from tasks.store import Artifact
@@ -79,6 +80,16 @@ def test_who_serves_is_told_why_nothing_is_in_use(tmp_path: Path) -> None:
 
 
 @pytest.mark.flow
+def test_of_files_that_are_not_what_was_trained_no_version_is_made(tmp_path: Path) -> None:
+    tracker = Tracker(Workspace(tmp_path / "first"))
+    registry = Registry(tracker)
+    trained, model = networks(tmp_path, "a")
+    (model.path / NETWORKS / "bodies.pt").write_text("spoilt")
+    with pytest.raises(StepFailed, match="doesn't agree with what was trained"):
+        registry.register(trained, model, tracker.experiment("promote", "comparisons"), {})
+    assert not list(registry.client.search_model_versions(f"name='{NAME}'"))
+
+
 def test_versions_aliases_and_files(tmp_path: Path) -> None:
     tracker = Tracker(Workspace(tmp_path / "first"))
     registry = Registry(tracker)
@@ -95,6 +106,10 @@ def test_versions_aliases_and_files(tmp_path: Path) -> None:
     tags = registry.client.get_model_version(NAME, "1").tags
     assert (tags["acceptance"], tags["acceptance.rest"]) == ("passed", "passed: 0.01, limit 0.03")
     assert registry.register(*made, experiment, {}) == first  # the same files, the same version
+
+    (first.path / "bodies.pt").unlink()
+    assert registry.version(CHAMPION) is None
+    assert registry.register(*made, experiment, {}) == first == registry.version(CHAMPION)  # whole again
 
     worse = registry.register(*networks(tmp_path, "b"), experiment, {})
     registry.record(worse, decide({"e": 2.0}, {"e": 1.0}, **LIMITS))
