@@ -39,6 +39,7 @@ def watch(profile: str, folder: str, engine: str, history: str) -> list[str]:
             recording=recording,
             kind=Path(name).stem,
             name=name,
+            modified_s=steps.modified_s(recording.path, name),
             sections=steps.watched.sections_of(settings),
             **files,
         )

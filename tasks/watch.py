@@ -22,12 +22,23 @@ _SETTLED_S = 30.0  # since a file was last written to: what is still being copie
 
 @step("watched", "recording for the history", expected_s=40.0, sections=("discover", "learn"))
 def watched(
-    out: Path, progress: Progress, *, recording: Path, kind: str, name: str, engine: Path, learned: Path, beside: str
+    out: Path,
+    progress: Progress,
+    *,
+    recording: Path,
+    kind: str,
+    name: str,
+    modified_s: float | None,
+    engine: Path,
+    learned: Path,
+    beside: str,
 ) -> None:
     """entry.json, the recording's row of the history; ``kind`` and ``name`` are its name, which may hold its date.
 
-    ``engine`` and ``learned`` are the two files of a learned engine; ``beside`` is what the first calls the second.
+    ``modified_s`` as of the function of that name; ``engine`` and ``learned`` are the two files of a learned engine;
+    ``beside`` is what the first calls the second.
     """
+    import os
     import shutil
     import tempfile
     from contextlib import chdir
@@ -36,12 +47,22 @@ def watched(
     from dieseltwin.learning.history import to_json
 
     with tempfile.TemporaryDirectory() as folder:
-        shutil.copy2(recording, Path(folder) / name)  # with its date
+        shutil.copyfile(recording, Path(folder) / name)
+        if modified_s is not None:
+            os.utime(Path(folder) / name, (modified_s, modified_s))
         shutil.copyfile(engine, Path(folder) / "engine.yaml")
         shutil.copyfile(learned, Path(folder) / beside)
         with chdir(folder):  # what is refused is named as it is in its folder
             entry = judge(name, "engine.yaml")
     (out / ENTRY).write_text(to_json(entry) + "\n", encoding="utf-8")
+
+
+def modified_s(recording: Path, name: str) -> float | None:
+    """When a recording was last written to [s since 1970], by which it is dated where neither its name nor its stamps
+    say a date; None where the name does."""
+    from dieseltwin.api.watch import date_in
+
+    return recording.stat().st_mtime if date_in(name) is None else None
 
 
 @dataclass(frozen=True)

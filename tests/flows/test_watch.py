@@ -92,6 +92,13 @@ def test_a_recording_whose_clock_is_ahead_is_taken_once_it_has_lain(
     assert list(steps.arrived(*where).new) == ["2026-01-01.csv"]
 
 
+def test_the_day_of_a_file_counts_where_its_name_says_none(tmp_path: Path) -> None:
+    for name in ("drive.csv", "2026-01-01.csv"):
+        arrived(tmp_path / "in", name, 20.0)
+    assert steps.modified_s(tmp_path / "in" / "drive.csv", "drive.csv") == LONG_AGO
+    assert steps.modified_s(tmp_path / "in" / "2026-01-01.csv", "2026-01-01.csv") is None
+
+
 def test_wrong_arguments_are_one_line_before_anything_starts(tmp_path: Path) -> None:
     mine = learned_file(tmp_path)
     good = {"folder": str(tmp_path), "engine": str(mine), "history": str(tmp_path / "history")}
