@@ -43,6 +43,7 @@ QUIET_VARIABLE = "DIESELTWIN_QUIET"
 WORKERS = max(1, min(2, os.cpu_count() or 1))
 
 _LOG_TAIL_LINES = 12
+_LOG_STEM_BYTES = 200  # a recording's own name may be as long as a file's can be
 
 # How long a step took, beside its result and no part of its hash.
 TIMING = f"step/{RUNTIME}"
@@ -352,7 +353,8 @@ def _run_worker(
 
     logs = context.workspace.cache / "logs"
     logs.mkdir(parents=True, exist_ok=True)
-    log = logs / f"{step.instance(parameters)}-{key[:8]}.log"
+    stem = step.instance(parameters).encode()[:_LOG_STEM_BYTES].decode(errors="ignore")
+    log = logs / f"{stem}-{key[:8]}.log"
     paths = [str(context.library_root), str(PROJECT), *(path for path in sys.path if path)]
     environment = {
         **os.environ,
@@ -368,8 +370,7 @@ def _run_worker(
         "folder": os.getcwd(),
         "environment": environment,
     }
-    imported = step.code(context).packages
-    libraries = [library for library in HEAVY if library.partition(".")[0] in imported]
+    libraries = [library for library in HEAVY if library.partition(".")[0] in step.code(context).packages]
     status, last = workers.run(
         specification, libraries, log, lambda fraction: context.display.update(step.instance(parameters), fraction)
     )

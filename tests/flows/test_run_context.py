@@ -91,6 +91,15 @@ def test_a_worker_that_served_an_earlier_flow_reads_edited_code_anew(context: Ru
         run_context.execute(*asked, "0" * 32)
 
 
+def test_a_step_of_a_recording_with_the_longest_name_has_its_log(
+    context: RunContext, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(run_context.Step, "instance", lambda step, parameters: f"{step.name}-{'ü' * 122}")
+    toy_steps.make(count=5, seed=1)
+    (log,) = (context.workspace.cache / "logs").glob("toy-make-ü*.log")
+    assert len(log.name.encode()) < 255
+
+
 def test_changed_parameter_runs_that_step_alone(context: RunContext) -> None:
     run_chain()
     fresh = again(context)
