@@ -325,6 +325,13 @@ def symmetric_root(covariance: Array) -> Array:
     return np.asarray(root, dtype=np.float64)
 
 
+def without_negative(matrix: Array) -> Array:
+    """The nearest (m, m) symmetric matrix without negative eigenvalues: rounding makes directions that nothing says
+    negative."""
+    values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T, dtype=np.float64)
+
+
 def _scaled(hessian: Array) -> tuple[Array, Array]:
     """Fisher information (.., m, m) with a diagonal of ones, and the roots (.., m) of what its diagonal was."""
     information = hessian + UNINFORMED**-2.0 * np.eye(hessian.shape[-1])

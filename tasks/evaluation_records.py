@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 from tasks.evaluation_plan import Plan
+from tasks.records import curves_of, identity
 from tasks.run_context import current
 from tasks.store import RUNTIME, Artifact
 from tasks.tracking import Curve, Record, Tracker, view
@@ -56,7 +55,7 @@ def evaluated(
         experiment,
         Record(
             "tables",
-            _identity("tables", common.sha256, page.sha256),
+            identity("tables", common.sha256, page.sha256),
             params={"ensembles": ", ".join(plan.slug for plan in plans)},
             metrics=flat,
             artifacts={
@@ -89,14 +88,14 @@ def _ensemble(plan: Plan, artifact: Artifact, tags: Mapping[str, str], datasets:
     metrics["seconds_per_run"] = round(sum(runtime["seconds_per_run"]) / max(1, len(runtime["seconds_per_run"])), 4)
     return Record(
         " ".join(part for part in (plan.method, plan.case, plan.variant) if part),
-        _identity(plan.slug, artifact.sha256, runtime["seconds"]),
+        identity(plan.slug, artifact.sha256, runtime["seconds"]),
         params={
             "method": plan.method, "case": plan.case, "variant": plan.variant, "members": plan.what["members"],
             "epochs": plan.epochs, "seed": plan.what["seed"], "start": plan.what["start"],
             "channels": plan.what["channels"] or "all five",
         },
         metrics=metrics,
-        curves=_curves(artifact.path / "curves.parquet"),
+        curves=curves_of(artifact.path / "curves.parquet"),
         artifacts={"members.parquet": artifact.path / "members.parquet"},
         tags=tags,
         seconds=float(runtime["seconds"]),
@@ -116,7 +115,7 @@ def _members(plan: Plan, members: Any, sha256: str) -> list[Record]:
         records.append(
             Record(
                 f"{plan.slug} member {number:02d}",
-                _identity(sha256, int(number)),
+                identity(sha256, int(number)),
                 curves=[curve for curve in curves if curve.steps],
                 tags={
                     "level": "member",
@@ -126,20 +125,3 @@ def _members(plan: Plan, members: Any, sha256: str) -> list[Record]:
             )
         )
     return records
-
-
-def _curves(path: Path) -> list[Curve]:
-    """Median over segments and members of every convergence curve."""
-    import pandas as pd
-
-    if not path.exists():
-        return []
-    curves = []
-    for quantity, rows in pd.read_parquet(path).groupby("quantity"):
-        middle = rows.groupby("epoch")["value"].median()
-        curves.append(Curve(f"training/{quantity}", [int(epoch) for epoch in middle.index], middle.tolist()))
-    return curves
-
-
-def _identity(*parts: Any) -> str:
-    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()

@@ -68,15 +68,13 @@ def eta_tm_labels(
     out: Path, progress: Progress, *, sets: Path, driving: dict[str, Any], engine: dict[str, Any]
 ) -> None:
     """The training cases of the maps, sampled finer, with the columns that the maps need."""
-    from types import SimpleNamespace
-
     import pandas as pd
 
     from dieseltwin.paper.datasets import make_case
     from dieseltwin.recordings.reader import write_recording
-    from dieseltwin.settings.params import DrivingConfig, EngineConfig
+    from tasks.simulate import sections_read
 
-    settings: Any = SimpleNamespace(driving=DrivingConfig(**driving), engine=EngineConfig(**engine))
+    settings = sections_read(driving=driving, engine=engine)
     for done, name in enumerate(_FINE_CASES, start=1):
         inputs = pd.read_parquet(sets / f"{settings.driving.cases[name].set}.parquet")
         frame = make_case(name, settings, inputs, sample_s=settings.driving.sample_eta_tm_s)

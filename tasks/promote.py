@@ -31,13 +31,12 @@ def validation_driving(
 ) -> None:
     """``validation.parquet``: a clean recording of random driving, not Case-V; ``engine.json``: health of its own."""
     import json
-    from types import SimpleNamespace
 
     from dieseltwin.paper.datasets import make_validation
     from dieseltwin.recordings.reader import write_recording
-    from dieseltwin.settings.params import DrivingConfig, EngineConfig
+    from tasks.simulate import sections_read
 
-    settings: Any = SimpleNamespace(driving=DrivingConfig(**driving), engine=EngineConfig(**engine))
+    settings = sections_read(driving=driving, engine=engine)
     recording, driven = make_validation(seed, settings, duration_s=60.0 * minutes)
     write_recording(recording, out / RECORDING)
     (out / ENGINE).write_text(json.dumps(driven.model_dump(mode="json"), indent=1) + "\n", encoding="utf-8")

@@ -222,7 +222,7 @@ def identified(
                     "seconds": round(runtime["seconds"], 2),
                     "converged_share": _converged(document),
                 },
-                curves=_curves(artifact.path / "curves.parquet"),
+                curves=curves_of(artifact.path / "curves.parquet"),
                 artifacts={
                     "identification.json": artifact.path / "identification.json",
                     **{f"figures/{path.name}": path for path in figures if words in path.name},
@@ -301,8 +301,8 @@ def _converged(document: Mapping[str, Any]) -> float:
     return sum(bool(run["converged"]) for run in runs) / max(1, len(runs))
 
 
-def _curves(path: Path) -> list[Curve]:
-    """Median over segments and runs of every convergence curve."""
+def curves_of(path: Path) -> list[Curve]:
+    """Median over segments and runs or members of every convergence curve."""
     import pandas as pd
 
     if not path.exists():

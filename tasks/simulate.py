@@ -26,7 +26,7 @@ _RESPONSE_COLUMNS = (
 )
 
 
-def _settings(**sections: dict[str, Any]) -> Any:
+def sections_read(**sections: dict[str, Any]) -> Any:
     """The sections as their validated models, under the names that ``Params`` gives them."""
     from types import SimpleNamespace
 
@@ -42,7 +42,7 @@ def driving_sets(out: Path, progress: Progress, *, driving: dict[str, Any], engi
     from dieseltwin.paper.datasets import drive_set, laboratory_parameters
     from dieseltwin.recordings.reader import write_recording
 
-    settings = _settings(driving=driving, engine=engine)
+    settings = sections_read(driving=driving, engine=engine)
     durations = {name: config.duration_s for name, config in settings.driving.sets.items()}
     (out / "response").mkdir()
     done = 0.0
@@ -64,7 +64,7 @@ def case_recordings(
     from dieseltwin.paper.datasets import HEALTH, add_noise, case_parameters, make_case
     from dieseltwin.recordings.reader import write_recording
 
-    settings = _settings(driving=driving, engine=engine, noise=noise)
+    settings = sections_read(driving=driving, engine=engine, noise=noise)
     for folder in ("lab", "field"):
         (out / folder).mkdir()
     for done, (name, case) in enumerate(settings.driving.cases.items(), start=1):

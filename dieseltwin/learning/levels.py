@@ -13,6 +13,7 @@ from dieseltwin.engine import HEALTH
 from dieseltwin.engine.map_corrections import CORRECTED_POINTS, basis, look_up
 from dieseltwin.learning.belief import HEALTH_AT, MAPS_AT, Array, Belief
 from dieseltwin.learning.files import LearnedEngine
+from dieseltwin.least_squares import without_negative
 
 LEVELS = {"f_egr": "A_egrmax", "W_t": "A_vgtmax"}
 """Maps whose level is one product with a health parameter."""
@@ -37,9 +38,7 @@ def without_shape(belief: Belief, believed: Belief, functions: dict[str, Array])
     scale = np.sqrt(np.diag(believed.covariance))
     across = np.outer(scale, scale)
     prior = believed.covariance / across
-    seen = np.linalg.inv(belief.covariance / across) - np.linalg.inv(prior)
-    values, vectors = np.linalg.eigh(0.5 * (seen + seen.T))
-    seen = (vectors * np.maximum(values, 0.0)) @ vectors.T  # rounding makes directions that nothing says negative
+    seen = without_negative(np.linalg.inv(belief.covariance / across) - np.linalg.inv(prior))
     maps = basis().maps
     for name, along in functions.items():
         own = maps == CORRECTED_POINTS.index(name)

@@ -15,6 +15,7 @@ import numpy as np
 
 from dieseltwin.engine import EngineParameters
 from dieseltwin.learning.belief import MAPS_AT, NOTHING_FURTHER, Array, Belief, Further, prior_belief
+from dieseltwin.least_squares import without_negative
 
 _LEAST_SHARE = 1e-12  # where nothing is the type's
 
@@ -53,7 +54,5 @@ def belief_from_siblings(
 def _factor(before: Belief, after: Belief) -> tuple[Array, Array]:
     """Information (K, K) and its vector (K,) of what was learned about the maps, health and sensors integrated out."""
     precisions = [np.linalg.inv(belief.covariance[MAPS_AT, MAPS_AT]) for belief in (before, after)]
-    seen = precisions[1] - precisions[0]
-    values, vectors = np.linalg.eigh(0.5 * (seen + seen.T))
-    seen = (vectors * np.maximum(values, 0.0)) @ vectors.T  # rounding makes directions that nothing says negative
+    seen = without_negative(precisions[1] - precisions[0])
     return seen, precisions[1] @ after.coefficients - precisions[0] @ before.coefficients
