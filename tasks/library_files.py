@@ -8,22 +8,15 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 
 _TEMPLATES = "templates"  # PackageLoader's own default
 
 
-def folders_read(tree: ast.Module, path: Path, root: Path) -> set[str]:
-    """Folders below ``root`` (relative, POSIX) whose files the module at ``path`` reads; those that are there.
+def named_folders(tree: ast.Module, package: str) -> frozenset[str]:
+    """Folders (relative to the project, POSIX) whose files a module of that package (a path) reads, if they are there.
 
     A file of ``resources.files`` whose folder isn't spelled out stands for the whole package.
     """
-    found = named_folders(tree, path.parent.relative_to(root).as_posix())
-    return {folder for folder in found if (root / folder).is_dir()}
-
-
-def named_folders(tree: ast.Module, package: str) -> frozenset[str]:
-    """The same for a module of that package (a path), whether they are there or not."""
     nodes = tuple(ast.walk(tree))
     return frozenset((*_of_loaders(nodes), *_of_resources(nodes), *_beside(nodes, package)))
 
