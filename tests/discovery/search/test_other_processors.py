@@ -42,7 +42,7 @@ def test_modes_of_the_maps_tolerances_are_the_same(other_signs: Callable[[], Non
 def test_what_chance_reaches_is_the_same(other_signs: Callable[[], None]) -> None:
     vectors = np.random.default_rng(4).normal(size=(6, 40))
     scored = [SimpleNamespace(name=f"effect_{k}", projected=vector) for k, vector in enumerate(vectors)]
-    limits = SimpleNamespace(limits=(-1.0, 1.0))
+    limits = SimpleNamespace(limits=(-1.0, 1.0), sign=0.0)
     at = SimpleNamespace(twin=SimpleNamespace(hypotheses={item.name: limits for item in scored}))
     largest = chance(at, scored, 0).draws  # type: ignore[arg-type]
     other_signs()
