@@ -25,7 +25,7 @@ TINY = {
     },
     "pretrain": {
         "maps": {
-            "paper": {"hidden": [8, 8], "steps": 30, "batch": 64, "finish_steps": 40, "finish_cells": 400},
+            "paper": {"hidden": [8, 8], "steps": 30, "batch": 64, "finish_steps": 80, "finish_cells": 1000},
             "improved": {"cells": 200, "starts": 2, "members": 2, "steps": 4, "refine_steps": 2, "rounds": 1},
         },
         "operators": {"egr": {"updates": 60, "batch": 64}, "vgt": {"updates": 60, "batch": 64}},
