@@ -38,7 +38,7 @@ DATABASE_MB = 20
 def home(request: Request) -> Response:
     desk = desk_of(request)
     return desk.page("home.html.j2", tab="recordings", recordings=desk.store.recordings(), analyses=desk.analyses(),
-                     engine_name=desk.engine_name, error="")  # fmt: skip
+                     engine_name=desk.engine_name)  # fmt: skip
 
 
 async def sent_form(request: Request, files: int) -> FormData:

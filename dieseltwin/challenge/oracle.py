@@ -140,7 +140,7 @@ def separability(
     for item in others:
         inner = float(truth.projected @ item.projected)
         size = float(item.projected @ item.projected) * float(truth.projected @ truth.projected)
-        sided = twin.hypotheses[item.name].limits[0] >= 0.0 and inner * np.sign(term.magnitude) < 0.0
+        sided = twin.hypotheses[item.name].sign > 0.0 and inner * np.sign(term.magnitude) < 0.0
         cosine2 = 0.0 if size <= 0 or sided else inner * inner / size
         distances[item.name] = min(distances.get(item.name, np.inf), strength * (1.0 - cosine2))
     return distances

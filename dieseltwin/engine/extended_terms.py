@@ -69,6 +69,11 @@ def clock_of(actuation: Actuation) -> np.ndarray:
     )
 
 
+def since_start(actuation: Actuation) -> np.ndarray:
+    """Times of the samples since the recording's start, gaps included [s], (n,)."""
+    return clock_of(actuation) - actuation.inputs.recording_start_s
+
+
 def acting(
     actuation: Actuation, of: Callable[[np.ndarray, float, Mapping[str, np.ndarray]], np.ndarray]
 ) -> np.ndarray:
@@ -331,7 +336,7 @@ def along(
     named = {
         "p_im": p_im, "p_em": p_em, "omega_t": omega_t, "x_r": x_r, "T_1": T_1,
         "n_e": n_e, "u_delta": u_delta, "u_egr": u_egr, "u_vgt": u_vgt,
-        "t": clock_of(actuation) - actuation.inputs.recording_start_s,
+        "t": since_start(actuation),
     }  # fmt: skip
     model = numpy_model(restricted=any(np.any(getattr(m, name)) for name in IMPLICIT))
     if states.shape[-1] > 5:

@@ -17,7 +17,6 @@ import numpy as np
 
 from dieseltwin.discovery.likelihood.metric import Whitening
 from dieseltwin.discovery.likelihood.nuisance import Nuisance
-from dieseltwin.discovery.likelihood.worth import independent
 from dieseltwin.discovery.twins.interface import Array, Hypothesis, Lanes, Parameter, Point
 from dieseltwin.discovery.twins.simple import LawTerm, Model, SimpleTwin
 from dieseltwin.recordings.noise import Noise
@@ -111,7 +110,7 @@ class RigTwin(SimpleTwin):
         """The same twin with the size of its misfit as a fit left it: residual (n, C) [units of the readings]."""
         twin = copy(self)
         twin._begins = None  # its runs are no continuation of this one's
-        share = np.isfinite(residual).sum() / independent(residual, self.starts, len(self.states))
+        share = np.isfinite(residual).sum() / _independent(residual, self.starts, len(self.states))
         size = np.sqrt(np.nanmean(residual**2, axis=0) * max(share, 1.0))
         twin.misfit = np.maximum(size, self.floors)
         return twin
@@ -163,3 +162,12 @@ class RigTwin(SimpleTwin):
 
     def _with_own(self, laws: Mapping[str, list[LawTerm]]) -> dict[str, list[LawTerm]]:
         return {name: [*self._laws.get(name, ()), *laws.get(name, ())] for name in {**self._laws, **laws}}
+
+
+def _independent(residual: Array, starts: np.ndarray, states: int) -> float:
+    """Number of independent readings in a misfit (n, C): half of all pairs of neighbours change sign in white noise."""
+    crossings = 0
+    for column in np.asarray(residual).T:
+        kept = column[np.isfinite(column)]
+        crossings += int(np.sum(np.signbit(kept[1:]) != np.signbit(kept[:-1])))
+    return float(np.clip(2 * crossings, len(starts) * (states + 1), np.isfinite(residual).sum()))

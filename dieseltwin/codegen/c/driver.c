@@ -13,7 +13,6 @@ typedef struct {
     Constants c;
     double start_s, time_s;                    /* drifts and onsets count from start_s */
     int at_start;                              /* coming to rest, terms act as they do at start_s */
-    int coming_to_rest;                        /* terms act as they do at start_s */
     Inputs inputs;                             /* at time_s */
     double p_im, p_em, omega_t;                /* states */
     double x_r, T_1;                           /* fixed point of the cylinder */

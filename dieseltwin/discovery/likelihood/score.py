@@ -64,7 +64,7 @@ def secant_sizes(twin: Twin, names: Sequence[str]) -> list[tuple[str, float]]:
         if hypothesis.in_place_of:
             continue
         sizes = hypothesis.sizes if not hypothesis.smooth else (_SIZE_OF_TOLERANCE * hypothesis.tolerance,)
-        wanted += [(name, float(np.clip(size if hypothesis.limits[1] > 0.0 else -size, *hypothesis.limits)))
+        wanted += [(name, float(np.clip(-size if hypothesis.sign < 0.0 else size, *hypothesis.limits)))
                    for size in sizes]  # fmt: skip
     return wanted
 
@@ -197,7 +197,7 @@ def taken_for(at: Linearisation, scored: Sequence[Scored], gain: float) -> dict[
             moved[name] = np.zeros(std.size)
             continue
         item = min((each for each in scored if each.name == name), key=lambda each: each.std)
-        falls = at.twin.hypotheses[name].limits[1] <= 0.0
+        falls = at.twin.hypotheses[name].sign < 0.0
         # `without_parameters` left what each parameter moves by beside its prior
         moved[name] = (size if falls else -size) * item.projected[rows : rows + std.size] * std
     return moved

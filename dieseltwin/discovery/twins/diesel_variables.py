@@ -9,7 +9,7 @@ import numpy as np
 from dieseltwin.discovery.twins.interface import Array, Point
 from dieseltwin.engine import Actuation, EngineParameters, constants
 from dieseltwin.engine.binding import numpy_model
-from dieseltwin.engine.extended_terms import along, clock_of
+from dieseltwin.engine.extended_terms import along, since_start
 
 _W_EGR, _T_EM, _W_C = 3, 4, 5  # columns of readings
 _DRIVEN = ("u_delta", "u_egr", "u_vgt")  # given without their signals
@@ -45,7 +45,7 @@ def variables_along(
         "Pi_t": Pi_t, "eta_vol": q.eta_vol, "x_r": x_r, "T_1": T_1, "Pi_egr": p_im / p_em,
         "Pi_e": model.exhaust_to_intake_ratio(p_em, p_im), "BSR": BSR,
         "Psi_c": Psi_c, "egr_share": W_egr / np.maximum(W_egr + W_c, 1e-6),
-        "t": clock_of(actuation) - actuation.inputs.recording_start_s, "p_amb": c.p_amb, "T_amb": c.T_amb,
+        "t": since_start(actuation), "p_amb": c.p_amb, "T_amb": c.T_amb,
     }  # fmt: skip
     out = {name: np.broadcast_to(value, p_im.shape) for name, value in named.items()}
     for point in points:

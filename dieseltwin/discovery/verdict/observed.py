@@ -78,6 +78,6 @@ def _score(found: Search, at: Linearisation, item: Scored, turned: Array) -> Sco
     hypothesis = found.twin.hypotheses[item.name]
     estimate = float(item.projected @ at.pulled_residual) / information
     return Score(
-        item.name, hypothesis.site, hypothesis.unit, hypothesis.tolerance, hypothesis.limits[0] >= 0.0, estimate,
+        item.name, hypothesis.site, hypothesis.unit, hypothesis.tolerance, hypothesis.sign > 0.0, estimate,
         float(np.sqrt(variance)), shared,
     )  # fmt: skip
