@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import rankdata
 
 from dieseltwin.engine.cylinder import fuel_flow
 from dieseltwin.errors import InputError
 from dieseltwin.recordings.channels import INPUTS
+from dieseltwin.recordings.ranks import ranks
 from dieseltwin.recordings.steady_points import STATES, SteadyPoints, once_each
 
 Array = NDArray[np.float64]
@@ -157,7 +157,7 @@ def _slope(u: Array, area: Array, points: SteadyPoints) -> float:
     if good.sum() <= len(INPUTS) + 2:
         return 0.0
     quotient = points["p_em_pa"] / points["p_amb_pa"]
-    area, *columns = (rankdata(values[good]) for values in (area, u, quotient, points["n_e_rpm"]))
+    area, *columns = (ranks(values[good]) for values in (area, u, quotient, points["n_e_rpm"]))
     A = np.stack([np.ones(area.size), *columns], axis=1)
     solution, _, rank, _ = np.linalg.lstsq(A, area, rcond=None)
     if rank < A.shape[1]:

@@ -16,6 +16,7 @@ import numpy as np
 from dieseltwin.discovery.likelihood.fit import Fit
 from dieseltwin.discovery.likelihood.score import without_parameters
 from dieseltwin.discovery.search import run as shared
+from dieseltwin.discovery.search.alarms import raises_alarm
 from dieseltwin.discovery.search.courses import schedule_of
 from dieseltwin.discovery.search.explanations import choose
 from dieseltwin.discovery.search.preparation import recentred
@@ -171,7 +172,7 @@ def next_single(found: Search) -> None:
     nothing: the next one that raises an alarm and keeps its size."""
     while found.kind == "single" and found.best is not None and not found.of_interest(found.best.fit):
         rest = [fit for fit in found.singles if fit.candidate.names != found.best.fit.candidate.names]
-        if not rest or not shared.raises_alarm(found, rest[0]):
+        if not rest or not raises_alarm(found, rest[0]):
             return
         found.singles = rest
         found.best = recentred(found, rest[0])

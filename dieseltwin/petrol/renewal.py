@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from dieseltwin.discovery.likelihood.fit import Fit
-from dieseltwin.discovery.search.run import raises_alarm
+from dieseltwin.discovery.search.alarms import raises_alarm
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.petrol.twin import PetrolTwin

@@ -15,7 +15,6 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from scipy.stats import rankdata
 
 from dieseltwin.engine import we2011
 from dieseltwin.engine.parameters import EngineParameters
@@ -33,6 +32,7 @@ from dieseltwin.recordings.channels import (
 from dieseltwin.recordings.columns import Columns
 from dieseltwin.recordings.named_columns import Imported, import_columns
 from dieseltwin.recordings.plausibility import bridge_inputs, check_plausible, mask_wild
+from dieseltwin.recordings.ranks import ranks
 from dieseltwin.recordings.reader import check_time
 from dieseltwin.recordings.unit_checks import unit_notes
 from dieseltwin.settings.strict import listed
@@ -314,8 +314,8 @@ def roughness(values: np.ndarray) -> float:
     there = values[np.isfinite(values)]
     if there.size < 3 or np.ptp(there) == 0.0:
         return 1.0
-    ranks = rankdata(there)
-    return float(np.mean(np.diff(ranks) ** 2) / (2.0 * np.var(ranks)))
+    order = ranks(there)
+    return float(np.mean(np.diff(order) ** 2) / (2.0 * np.var(order)))
 
 
 def _counts(name: str, values: np.ndarray) -> bool:

@@ -46,11 +46,12 @@ def test_importing_it_loads_nothing_heavy() -> None:
 
 def test_names_load_no_more_than_they_need() -> None:
     """Simulating needs no matplotlib, looking at a history judges nothing, discovering needs nothing of petrol engines
-    before there is one, no name torch."""
+    before there is one, no name torch or scipy.stats (half a second)."""
     steps = (
         ("dt.simulate", "matplotlib"), ("dt.history", "dieseltwin.api.driving"),
         ("dt.discover", "dieseltwin.api.petrol"),
         ("dt.read, dt.engine, dt.identify, dt.calibrate, dt.imply", "torch"),
+        ("dt.discover", "scipy.stats"),
     )  # fmt: skip
     code = "\n".join(f"{names}; print({module!r} in sys.modules)" for names, module in steps)
     assert python(f"import sys, dieseltwin as dt\n{code}").split() == ["False"] * len(steps)

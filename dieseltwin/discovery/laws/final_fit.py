@@ -28,7 +28,7 @@ def signals_of(law: LawTwin, lanes: Lanes) -> dict[str, Array]:
     return signals
 
 
-def about_itself(at: Linearisation, tolerances: Tolerances | None) -> Linearisation:
+def about_itself(at: Linearisation, tolerances: Tolerances | None, passes: int = _PASSES) -> Linearisation:
     """A fit of a twin with a law or faults inside, with initial states and tolerances linearised about itself.
 
     Where the law is large the tolerances of the fit without it are not the law's: its size comes out wrong by up to a
@@ -37,11 +37,12 @@ def about_itself(at: Linearisation, tolerances: Tolerances | None) -> Linearisat
     Args:
         at: converged fit of a `LawTwin` or `ReadingTwin`.
         tolerances: directions about a linearisation of the twin; None keeps those of `at`.
+        passes: at most, each with tolerances anew.
     """
     if tolerances is None or at.nuisance_response is None:
         return at
     centre = at.fit
-    for _ in range(_PASSES):
+    for _ in range(passes):
         own = tolerances(_held(at, centre))
         try:
             last, at = at, settle_local(fit_fully(at.twin, at.whitening, centre, own, _ROUNDS))

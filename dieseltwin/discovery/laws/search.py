@@ -90,45 +90,67 @@ class Law:
         return other, Fit(Candidate(), values, np.zeros(0), self.local, np.inf, True)
 
 
-def search(
-    twin: Twin, at: Linearisation, nuisance_response: Array | None = None, tolerances: Tolerances | None = None,
-    screened: Sequence[str] | None = None,
-) -> Law | None:  # fmt: skip
-    """Law that explains what is left of a fit; None where none is resolved.
+class LawSearch:
+    """The search for a law from the grammar. What was refitted for some points needn't be for more.
 
     Args:
         twin: without the law; may hold effects already named (`at.fit`).
-        at: converged linearisation of that twin.
-        nuisance_response: (K, n, C) tolerance directions, as used for `at`.
-        tolerances: directions about the law found, for its last fit; None keeps those given.
-        screened: names of the points where a term without a name explains enough for a law to (`near_the_best`);
-            None for all.
+        at: converged linearisation of that twin, with its tolerance directions.
+        tolerances: directions about the law found, for its last fit; None keeps those of `at`.
     """
-    base_lanes, before = at.fit.lanes(), at.fit.objective
-    variables = {**twin.variables(base_lanes), "time_s": twin.time_s}
-    ranked = rank(twin, Responses(at, base_lanes), variables, screened=screened)
-    refits: list[Refit] = []
-    here: Linearisation = at
-    for renewal in range(_RENEWALS + 1):
-        known = {r.ranked.key for r in refits}
-        fresh = [item for item in shortlist(ranked, _REFITS) if item.key not in known]
-        refits += refit_all_laws(twin, here, before, fresh, variables)
-        refits.sort(key=lambda r: -r.score)
-        if not refits or refits[0].score <= 0.0 or renewal == _RENEWALS:
-            break
-        ranked, here, variables = _renewed(twin, at, refits, nuisance_response)
-    known = {r.ranked.key for r in refits}
-    single = _single_terms(refits, twin)
-    if refits:
-        single += [item for item in simpler(ranked, refits[0].ranked) if item.key not in known]
-    refits += refit_all_laws(twin, here, before, single, variables)
-    refits.sort(key=lambda r: -r.score)
-    if not refits or refits[0].score <= _RESOLVED:
-        return None
-    return _report(twin, at, _simplest_first(refits), nuisance_response, tolerances)
+
+    def __init__(self, twin: Twin, at: Linearisation, tolerances: Tolerances | None = None) -> None:
+        self.twin, self.at, self.tolerances = twin, at, tolerances
+        lanes = at.fit.lanes()
+        self.responses, self.variables = Responses(at, lanes), {**twin.variables(lanes), "time_s": twin.time_s}
+        self.refits: list[Refit] = []
+        self._renewals: dict[tuple[object, ...], tuple[list[Ranked], Linearisation, dict[str, Array]]] = {}
+
+    def best(self, screened: Sequence[str] | None = None) -> Refit | None:
+        """The best law, refitted; None where none is resolved.
+
+        Args:
+            screened: names of the points where a term without a name explains enough for a law to (`near_the_best`);
+                None for all.
+        """
+        here, variables = self.at, self.variables
+        ranked = rank(self.twin, self.responses, variables, screened=screened)
+        self._refit(here, shortlist(ranked, _REFITS), variables)
+        for _ in range(_RENEWALS):
+            if not self.refits or self.refits[0].score <= 0.0:
+                break
+            ranked, here, variables = self._renewed()
+            self._refit(here, shortlist(ranked, _REFITS), variables)
+        simple = _single_terms(self.refits)
+        if self.refits:
+            simple += simpler(ranked, self.refits[0].ranked)
+        self._refit(here, simple, variables)
+        if not self.refits or self.refits[0].score <= _RESOLVED:
+            return None
+        return _simplest_first(self.refits)[0]
+
+    def law(self) -> Law:
+        """The best of the laws refitted, reported; there must be one."""
+        return _report(self.twin, self.at, _simplest_first(self.refits), self.tolerances)
+
+    def _refit(self, here: Linearisation, items: Sequence[Ranked], variables: dict[str, Array]) -> None:
+        """Refit those that weren't yet, best first."""
+        known = {refit.ranked.key for refit in self.refits}
+        fresh = [item for item in items if item.key not in known]
+        self.refits += refit_all_laws(self.twin, here, self.at.fit.objective, fresh, variables)
+        self.refits.sort(key=lambda refit: -refit.score)
+
+    def _renewed(self) -> tuple[list[Ranked], Linearisation, dict[str, Array]]:
+        """Ranking along the trajectory with the best law inside, which is the same where the best is."""
+        best = self.refits[0]
+        leading = _leading_points(self.twin, self.refits)
+        key = (id(best), *leading)
+        if key not in self._renewals:
+            self._renewals[key] = _renewed(self.twin, self.at, best, leading)
+        return self._renewals[key]
 
 
-def _single_terms(refits: Sequence[Refit], twin: Twin) -> list[Ranked]:
+def _single_terms(refits: Sequence[Refit]) -> list[Ranked]:
     """Each term alone of the best sums of two: a second term that a refit shrinks to nothing isn't worth its charge."""
     known = {r.ranked.key for r in refits}
     out: dict[object, Ranked] = {}
@@ -170,28 +192,32 @@ def law_text(twin: Twin, form: Form, coefficient: float, shape: float | None = N
     return f"{kind} {point.name}: {coefficient:.4g}{spread}{unit} {form.text(shape)}".rstrip()
 
 
+def _leading_points(twin: Twin, refits: Sequence[Refit]) -> tuple[str, ...]:
+    """Names of the points whose laws come near to the best, which is the first."""
+    names = (twin.points[r.ranked.index].name for r in refits if r.score > _LEADING * refits[0].score)
+    return tuple(dict.fromkeys(names))
+
+
 def _renewed(
-    twin: Twin, at: Linearisation, refits: Sequence[Refit], nuisance_response: Array | None
+    twin: Twin, at: Linearisation, best: Refit, leading: Sequence[str]
 ) -> tuple[list[Ranked], Linearisation, dict[str, Array]]:
     """Ranking along the trajectory with the best law inside: all forms compete to explain what it explains."""
-    known, best = len(twin.parameters), refits[0]
+    known = len(twin.parameters)
     signals = signals_of(best.twin, best.fit.lanes())
     fixed = cast(Twin, WithSignals(twin, signals))
     start = replace(best.fit, parameters=best.fit.parameters[:known])
-    here = Linearisation(fixed, at.whitening, start, None, nuisance_response)
+    here = Linearisation(fixed, at.whitening, start, None, at.nuisance_response)
     lanes = start.lanes()
     responses = Responses(here, lanes)
     for name, signal in signals.items():
         index = next(i for i, p in enumerate(twin.points) if p.name == name)
         responses.add_to_residual(responses.signals(index, signal[None])[0])
     variables = {**best.twin.variables(best.fit.lanes()), "time_s": twin.time_s}
-    names = (twin.points[r.ranked.index].name for r in refits if r.score > _LEADING * refits[0].score)
-    leading = tuple(dict.fromkeys(names))
     return rank(twin, responses, variables, leading), here, variables
 
 
 def _report(
-    twin: Twin, at: Linearisation, refits: list[Refit], nuisance_response: Array | None, tolerances: Tolerances | None
+    twin: Twin, at: Linearisation, refits: list[Refit], tolerances: Tolerances | None
 ) -> Law:
     """Full fit of the best law, its intervals, rivals and curve."""
     best = refits[0]
@@ -200,22 +226,25 @@ def _report(
     free = len(best.twin.laws) == 1 and bool(form.factors) and form.factors[0].has_free_shape
     estimates = best.twin.values(best.fit.parameters)
     placed = [replace(law, coefficient=float(c)) for law, (c, _) in zip(best.twin.laws, estimates, strict=True)]
-    final = _final(twin, at, placed, best.fit, nuisance_response)
+    final = _final(twin, at, placed, best.fit)
     loose = LawTwin(twin, [Placed(form, coefficient, free_shape=True)]) if free else None
     # an operator's only number is its time or width: it is free already, and there is nothing more to loosen
     if loose is not None and len(loose.parameters) == final[1].fit.parameters.size + 1:
         start = start_of(at, loose)
         begun = np.concatenate([final[1].fit.parameters, [form.factors[0].shape]])
         start = replace(start, parameters=begun, local=final[1].fit.local)
-        freed = fit_fully(cast(Twin, loose), at.whitening, start, nuisance_response, _FINAL_ROUNDS)
-        at_shape = len(loose.parameters) - 1
-        shape = float(freed.fit.parameters[at_shape])
         gained = at.fit.objective - final[1].fit.objective
         price = max(float(np.log(at.whitening.present.sum())), _ALIKE_SHARE * gained)
-        if at.fit.objective - freed.fit.objective > gained + price:
+        enough = final[1].fit.objective - price
+        freed = fit_fully(
+            cast(Twin, loose), at.whitening, start, at.nuisance_response, _FINAL_ROUNDS, ahead=enough
+        )
+        at_shape = len(loose.parameters) - 1
+        shape = float(freed.fit.parameters[at_shape])
+        if freed.fit.objective < enough:
             form = form.with_shape(float(f"{shape:.3g}"))
             placed = [Placed(form, float(np.sign(coefficient) * freed.fit.parameters[at_shape - 1]))]
-            final = _final(twin, at, placed, replace(best.fit, local=freed.fit.local), nuisance_response)
+            final = _final(twin, at, placed, replace(best.fit, local=freed.fit.local))
     law, reached = final
     lin = about_itself(reached, tolerances)
     at_coefficient = len(twin.parameters)
@@ -239,7 +268,7 @@ def _report(
     text = " + ".join(
         law_text(twin, q.form, q.coefficient, std=std if k == 0 else None) for k, q in enumerate(last)
     )
-    curve = _curve(twin, at, law, lin, nuisance_response, variables, argument, std / max(abs(coefficient), 1e-300))
+    curve = _curve(twin, at, law, lin, variables, argument, std / max(abs(coefficient), 1e-300))
     return Law(
         point.site, text, std, point.unit, argument, curve, at.fit.objective - reached.fit.objective, best.score,
         rivals, lin.fit.parameters[:at_coefficient], lin.fit.local, last, (),
@@ -260,16 +289,16 @@ def _as_found(placed: Placed, coefficient: float, shape: float | None) -> Placed
 
 
 def _final(
-    twin: Twin, at: Linearisation, placed: Sequence[Placed], start: Fit, nuisance_response: Array | None
+    twin: Twin, at: Linearisation, placed: Sequence[Placed], start: Fit
 ) -> tuple[LawTwin, Linearisation]:
     law = LawTwin(twin, placed)
     extra = [p.value for p in law.parameters[len(twin.parameters) :]]
     start = replace(start, parameters=np.append(start.parameters[: len(twin.parameters)], extra))
-    return law, fit_fully(cast(Twin, law), at.whitening, start, nuisance_response, _FINAL_ROUNDS)
+    return law, fit_fully(cast(Twin, law), at.whitening, start, at.nuisance_response, _FINAL_ROUNDS)
 
 
 def _curve(
-    twin: Twin, at: Linearisation, law: LawTwin, lin: Linearisation, nuisance_response: Array | None,
+    twin: Twin, at: Linearisation, law: LawTwin, lin: Linearisation,
     variables: dict[str, Array], argument: str, spread: float,
 ) -> Curve:  # fmt: skip
     """The law over its argument beside what the recording says bin by bin, free of it."""
@@ -279,10 +308,10 @@ def _curve(
     signal = signals[name]
     fixed = cast(Twin, WithSignals(twin, signals))
     start = replace(lin.fit, parameters=lin.fit.parameters[: len(twin.parameters)])
-    here = Linearisation(fixed, at.whitening, start, None, nuisance_response)
+    here = Linearisation(fixed, at.whitening, start, None, at.nuisance_response)
     responses = Responses(here, start.lanes())
     responses.add_to_residual(responses.signals(index, signal[None])[0])
     return law_curve(variables[argument], signal, spread, responses.point(index))
 
 
-__all__ = ["Law", "Rival", "law_text", "search"]
+__all__ = ["Law", "LawSearch", "Rival", "law_text"]

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
@@ -11,7 +11,8 @@ import numpy as np
 from dieseltwin.discovery.laws.features import Structure
 from dieseltwin.discovery.laws.final_fit import Tolerances, about_itself
 from dieseltwin.discovery.laws.reading_twin import FaultKind, ReadingFault, ReadingTwin
-from dieseltwin.discovery.laws.search import Law, Rival, search
+from dieseltwin.discovery.laws.refit import Refit
+from dieseltwin.discovery.laws.search import Law, LawSearch, Rival
 from dieseltwin.discovery.likelihood.fit import Fit, Linearisation, fit_fully
 from dieseltwin.discovery.twins.interface import Twin, law_scope_of
 
@@ -58,21 +59,52 @@ def near_the_best(structure: Sequence[Structure], twin: Twin) -> tuple[str, ...]
     return tuple(twin.points[index].name for index in ordered if best[index] >= limit)
 
 
-def sensor_law(
-    twin: Twin, at: Linearisation, faults: Sequence[ReadingFault], nuisance_response: np.ndarray | None = None,
-    tolerances: Tolerances | None = None,
-) -> Law | None:  # fmt: skip
+@dataclass(frozen=True)
+class FaultFit:
+    """The fault of a sensor that explains most, refitted.
+
+    Attributes:
+        fault: with its first size.
+        at: the fit of the twin with it.
+        gain: decrease of -2 log likelihood against no fault.
+        charge: for the fault's size, and for the choice of it.
+        rivals: other faults that the recording can't tell from it.
+    """
+
+    fault: ReadingFault
+    at: Linearisation
+    gain: float
+    charge: float
+    rivals: tuple[Rival, ...]
+
+    @property
+    def score(self) -> float:
+        """Gain less charge."""
+        return self.gain - self.charge
+
+    def law(self, tolerances: Tolerances | None = None) -> Law:
+        """As a law, its std with the tolerances inside; `tolerances`: as of `laws_in_turn`."""
+        twin = cast(ReadingTwin, self.at.twin)
+        count, name = len(twin.base.parameters), self.fault.channel
+        best = about_itself(self.at, tolerances)
+        found = replace(self.fault, size=float(best.fit.parameters[count]), std=float(best.fit.std[count]))
+        unit = {"gain": "-", "lag": "s"}.get(found.kind, law_scope_of(twin.base).channel_units.get(name, ""))
+        return Law(
+            f"sensor:{name}", found.text(unit), cast(float, found.std), unit, name, None, self.gain, self.score,
+            self.rivals, best.fit.parameters[:count], best.fit.local, (), (found,),
+        )  # fmt: skip
+
+
+def sensor_fault(twin: Twin, at: Linearisation, faults: Sequence[ReadingFault]) -> FaultFit | None:
     """The fault of a sensor that explains most of what is left of a fit; lags of sensors that may lag (`LawScope`) too.
 
     Args:
         twin: without it.
-        at: converged linearisation of that twin.
+        at: converged linearisation of that twin, with its tolerance directions.
         faults: to choose from, with first sizes (`faults_of`).
-        nuisance_response: (K, n, C) tolerance directions, as used for `at`.
-        tolerances: directions about the fault found, for its last fit; None keeps those given.
 
     Returns:
-        The law, its std with the tolerances inside; None where none is resolved.
+        None where none is resolved.
     """
     lagging = [name for name in law_scope_of(twin).lagging_sensors if name in twin.channels]
     tried = [*faults, *(ReadingFault(name, "lag", size) for name in lagging for size in _LAGS_S)]
@@ -83,7 +115,7 @@ def sensor_law(
         start = Fit(at.fit.candidate, np.append(at.fit.parameters[:P], fault.size), at.fit.magnitudes, at.fit.local,
                     np.inf, False)  # fmt: skip
         try:
-            fitted = fit_fully(wrong, at.whitening, start, nuisance_response, _ROUNDS)
+            fitted = fit_fully(wrong, at.whitening, start, at.nuisance_response, _ROUNDS)
         except np.linalg.LinAlgError:
             continue
         if np.isfinite(fitted.fit.objective) and (fault.kind != "lag" or fitted.fit.parameters[P] > 0.0):
@@ -91,55 +123,69 @@ def sensor_law(
     if not fits:
         return None
     fits.sort(key=lambda item: item[0])
-    readings = int(at.whitening.present.sum())
-    charge = float(np.log(readings) + 2.0 * np.log(2.0 * len(twin.channels)))
     objective, fault, best = fits[0]
-    gain = at.fit.objective - objective
-    if gain - charge < _RESOLVED:
-        return None
-    best = about_itself(best, tolerances)
-    found = replace(fault, size=float(best.fit.parameters[P]), std=float(best.fit.std[P]))
     rivals: dict[tuple[str, str], Rival] = {}
     for other, weaker, _ in fits[1:]:
         if other - objective < _RIVALS and (weaker.channel, weaker.kind) != (fault.channel, fault.kind):
             rival = Rival(f"sensor:{weaker.channel}", other - objective)
             rivals.setdefault((weaker.kind, weaker.channel), rival)
-    unit = {"gain": "-", "lag": "s"}.get(fault.kind, law_scope_of(twin).channel_units.get(fault.channel, ""))
-    return Law(
-        f"sensor:{fault.channel}", found.text(unit), cast(float, found.std), unit, fault.channel, None, gain,
-        gain - charge, tuple(rivals.values()), best.fit.parameters[:P], best.fit.local, (), (found,),
-    )  # fmt: skip
+    readings = int(at.whitening.present.sum())
+    charge = float(np.log(readings) + 2.0 * np.log(2.0 * len(twin.channels)))
+    found = FaultFit(fault, best, at.fit.objective - objective, charge, tuple(rivals.values()))
+    return None if found.score < _RESOLVED else found
 
 
-def best_law(
-    twin: Twin, at: Linearisation, structure: Sequence[Structure], tolerances: Tolerances | None = None,
-    everywhere: bool = False,
-) -> Law | None:  # fmt: skip
-    """A law for what no name explains: of a sensor where the linear scores say so, else from the grammar.
+def laws_in_turn(
+    twin: Twin, at: Linearisation, structure: Sequence[Structure], tolerances: Tolerances | None = None
+) -> Iterator[Law | None]:
+    """Laws for what no name explains, of a sensor where the linear scores say so, else from the grammar.
+
+    The first is the best of the likely points, a second that of all, where it is another; who is content with the first
+    needn't ask for it. None where none is resolved.
 
     Args:
         twin: without it.
         at: converged health-only fit, with its tolerance directions.
         structure: scored generic features, strongest first.
         tolerances: directions about a linearisation of a law; None keeps those of `at`.
-        everywhere: at points, too, whose linear gains are small.
     """
     top = structure[0].gain if structure else 0.0
     near = [item for item in structure if item.gain >= _WITHIN * top]
     of_sensors = [item for item in near if item.feature.channel is not None]
-    fault = sensor_law(twin, at, faults_of(of_sensors, twin.channels), at.nuisance_response, tolerances=tolerances)
+    fault = sensor_fault(twin, at, faults_of(of_sensors, twin.channels))
     if len(of_sensors) == len(near) > 0:
-        return fault
-    try:
-        screened = None if everywhere else near_the_best(structure, twin)
-        inside = search(twin, at, at.nuisance_response, tolerances, screened)
-    except np.linalg.LinAlgError:  # with the best law inside the machine runs away: no law of this machine
-        inside = None
-    if inside is None or fault is None:
-        return inside or fault
-    bent = len(inside.placed) > 1 or any(placed.form.factors for placed in inside.placed)
-    ahead = inside.score - fault.score  # a fault of a sensor is as simple as a constant
-    return fault if ahead < (_RIVALS if bent else 0.0) else inside
+        yield None if fault is None else fault.law(tolerances)
+        return
+    inside = LawSearch(twin, at, tolerances)
+    likely = near_the_best(structure, twin)
+    before: Refit | FaultFit | None = None
+    for screened in (None,) if likely is None else (likely, None):
+        best: Refit | FaultFit | None = fault
+        law: Law | None = None
+        try:
+            refit = inside.best(screened)
+            if refit is not None and (fault is None or _is_ahead(refit, fault)):
+                best = refit
+                law = None if refit is before else inside.law()
+        except np.linalg.LinAlgError:  # with the best law inside the machine runs away: no law of this machine
+            best = fault
+        if before is not None and best is before:
+            return
+        before = best
+        yield fault.law(tolerances) if law is None and fault is not None else law
 
 
-__all__ = ["best_law", "faults_of", "sensor_law"]
+def _is_ahead(refit: Refit, fault: FaultFit) -> bool:
+    """Whether a law from the grammar explains more than a fault of a sensor, which is as simple as a constant."""
+    bent = len(refit.ranked.placed) > 1 or any(placed.form.factors for placed in refit.ranked.placed)
+    return refit.score - fault.score >= (_RIVALS if bent else 0.0)
+
+
+def best_law(
+    twin: Twin, at: Linearisation, structure: Sequence[Structure], tolerances: Tolerances | None = None
+) -> Law | None:
+    """The first of `laws_in_turn`."""
+    return next(laws_in_turn(twin, at, structure, tolerances))
+
+
+__all__ = ["FaultFit", "best_law", "faults_of", "laws_in_turn", "sensor_fault"]

@@ -17,14 +17,22 @@ import numpy as np
 
 from dieseltwin.discovery.laws.grammar import Form
 from dieseltwin.discovery.time_limit import check_time
-from dieseltwin.discovery.twins.interface import Array, Lanes, Parameter, Twin, TwinDefaults, lane_of, law_scope_of
-from dieseltwin.engine.fixed_point import settled
+from dieseltwin.discovery.twins.interface import (
+    Array,
+    Lanes,
+    Parameter,
+    Twin,
+    TwinDefaults,
+    lane_of,
+    law_scope_of,
+    some_lanes,
+)
 
 _SETTLED = 1e-6  # change of a signal relative to its size that counts as settled
+_SETTLED_BESIDE = (0.03, 1e-8)  # and of its first change, where lanes are hardly apart; what is less is none
 _SHARES = (-2.0, 0.5)  # of the last change that an accelerated step takes off
 _LEAST_CHANGE = 1e-300
 _PICARD_ROUNDS = 10
-_LEAST_ROUNDS = 3  # so that lanes that start where another settled part from it
 _LOOSE = 10.0  # prior standard deviation of a coefficient, relative to its first estimate: says nothing
 
 
@@ -143,38 +151,55 @@ class LawTwin(TwinDefaults):
         return terms
 
     def _settle(self, lanes: Lanes) -> tuple[Array, list[dict[str, Array]]]:
-        """Readings (B, n, C) and variables of every lane with the laws' signals settled (Picard, all lanes at once).
+        """Readings (B, n, C) and variables of every lane with the laws' signals settled.
 
-        Starts where the first lane ended the last time: lanes of one linearisation, and steps of a fit, differ little.
+        The first lane comes first, from where it ended the last time; the others begin where it ends, as lanes of one
+        linearisation, and steps of a fit, differ little.
         """
-        n, base_lanes = len(self.time_s), self._base_lanes(lanes)
-        shape = (len(self.laws), lanes.size, n)
-        first = np.zeros(shape) if self._settled is None else np.repeat(self._settled[:, None], lanes.size, axis=1)
-        values = self.values(lanes.parameters)
-        readings: Array = np.empty(0)
-        variables: list[dict[str, Array]] = []
-        last: tuple[Array, Array] | None = None
+        settled, readings, variables = self._picard(lane_of(lanes, 0))
+        if np.all(np.isfinite(settled)):
+            self._settled = settled[:, 0]
+        if lanes.size > 1:
+            _, readings, variables = self._picard(lanes, _SETTLED_BESIDE)
+        return readings, variables
 
-        def answer(now: Mapping[str, Array]) -> dict[str, Array]:
-            nonlocal readings, variables, last
+    def _picard(
+        self, lanes: Lanes, beside: tuple[float, float] | None = None
+    ) -> tuple[Array, Array, list[dict[str, Array]]]:
+        """Signals (L, B, n), readings (B, n, C) and variables of all lanes; a round is one simulation of those whose
+        signals still change: relative to their size and, of lanes `beside` a settled one, to their first change."""
+        base, values = self._base_lanes(lanes), self.values(lanes.parameters)
+        signals = np.zeros((len(self.laws), lanes.size, len(self.time_s)))
+        if self._settled is not None:
+            signals[:] = self._settled[:, None]
+        readings = np.empty((lanes.size, *self.measured.shape))
+        variables: list[dict[str, Array]] = [{} for _ in range(lanes.size)]
+        last: tuple[Array, Array] | None = None
+        first: Array | None = None
+        moving = np.arange(lanes.size)
+        for _ in range(_PICARD_ROUNDS):
             check_time()
-            readings, variables = trajectories(self.base, base_lanes, self._entered(now["laws"]))
-            new = np.empty(shape)
-            for k, (law, (c, s)) in enumerate(zip(self.laws, values, strict=True)):
-                for b, own in enumerate(variables):
+            now = signals[:, moving]
+            readings[moving], seen = trajectories(self.base, some_lanes(base, moving), self._entered(now))
+            new = np.empty_like(now)
+            for place, (b, own) in enumerate(zip(moving, seen, strict=True)):
+                variables[b] = own
+                for k, (law, (c, s)) in enumerate(zip(self.laws, values, strict=True)):
                     at = before({**own, "time_s": self.time_s}, law.form.point)
                     coefficient = c if np.ndim(c) == 0 else c[b]
-                    new[k, b] = np.nan_to_num(coefficient * law.form.value(at, s if s is None else s[b]))
-            proposed = new if last is None else _accelerated(*last, now["laws"], new)
-            last = now["laws"], new
-            return {"laws": proposed}
-
-        signals = settled(
-            answer, {"laws": first}, rounds=_PICARD_ROUNDS, tolerance=_SETTLED, least=_LEAST_ROUNDS
-        )["laws"]
-        if np.all(np.isfinite(signals[:, 0])):
-            self._settled = signals[:, 0]
-        return readings, variables
+                    new[k, place] = np.nan_to_num(coefficient * law.form.value(at, s if s is None else s[b]))
+            signals[:, moving] = new if last is None else _accelerated(*last, now, new)
+            size, change = (np.maximum(np.abs(each).max(axis=2), _LEAST_CHANGE) for each in (new, new - now))
+            first = change if first is None else first
+            small = _SETTLED * size
+            if beside is not None:
+                small = np.clip(beside[0] * first[:, moving], beside[1] * size, small)
+            changes = ~(change < small).all(axis=0)
+            if not changes.any():
+                break
+            changes[0] = True  # laws that the engine has already are settled along the first lane, for all
+            last, moving = (now[:, changes], new[:, changes]), moving[changes]
+        return signals, readings, variables
 
     def _entered(self, signals: Array) -> dict[str, Array]:
         """Point -> total of the laws' signals there, (B, n)."""

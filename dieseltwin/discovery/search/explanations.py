@@ -154,27 +154,13 @@ def choose(found: Search, first: Linearisation | None, beside: tuple[str, ...] =
     """
     settings = found.settings
     best, kind, fit, variant = leading_kind(found)
-    bar = best + settings.law_gain
-    if any(item.gain > bar for item in found.nameless()) or found.local_ahead(bar) is not None:
+    if _nameless_is_ahead(found, best):
         found.kind = "law"
         return
     found.kind, found.variant = kind, variant
     found.best = first if kind == "single" and first is not None else recentred(found, fit)
     left = look_at_what_is_left(found, found.best)
-    place = {"single": 0, "pair": 1}.get(kind, 2)
-    gained = found.gain(fit)
-    limit = max(settings.left_gain[place], settings.left_share[place] * gained)
-    # what a name's own law leaves says that its size or its shape is off, not that it is another's
-    others = [item for item in found.left if item.feature.effect not in found.best.fit.candidate.names]
-    held = max((item.held for item in others), default=0.0)
-    ahead = held - _second_gain(found) if held > limit and kind != "pair" else np.inf
-    bumps = max((item.held for item in found.left_local), default=0.0)
-    enough = kind == "single" and fit.candidate.names[0] in beside
-    if not enough and (
-        (held > limit and ahead > settings.left_ahead)
-        or bumps > max(settings.local_gain, settings.left_share[place] * gained)
-        or (left >= settings.rivals_from and _one_term_explains_more_than_names(found, best))
-    ):
+    if _leaves_too_much(found, fit, best, beside):
         found.refused, found.kind = kind, "law"
         return
     found.widening = max(1.0, left / settings.chance_leaves)
@@ -184,6 +170,49 @@ def choose(found: Search, first: Linearisation | None, beside: tuple[str, ...] =
         choose(found, first, fit.candidate.names)
         return
     set_probabilities(found, kind)
+
+
+def single_stands(found: Search) -> bool:
+    """Whether the best single effect is enough where nothing else with a name explains more."""
+    fit = found.singles[0]
+    value = found.gain(fit)
+    if _nameless_is_ahead(found, value):
+        return False
+    found.best = recentred(found, fit)
+    look_at_what_is_left(found, found.best)
+    return not _leaves_too_much(found, fit, value)
+
+
+def _nameless_is_ahead(found: Search, value: float) -> bool:
+    """Whether a term without a name, or a bump of a map, gains more by its linear score than names of such a value."""
+    bar = value + found.settings.law_gain
+    return any(item.gain > bar for item in found.nameless()) or found.local_ahead(bar) is not None
+
+
+def _leaves_too_much(found: Search, fit: Fit, value: float, beside: tuple[str, ...] = ()) -> bool:
+    """Whether what names leave, or a term without one instead of them, refuses them.
+
+    Args:
+        found: `kind` says what they are, `best` is about them, `left` and `left_local` are what that leaves.
+        fit: theirs.
+        value: its gain less what its freedom costs.
+        beside: as of `choose`.
+    """
+    settings, names = found.settings, cast(Linearisation, found.best).fit.candidate.names
+    place = {"single": 0, "pair": 1}.get(found.kind, 2)
+    share = settings.left_share[place] * found.gain(fit)
+    limit = max(settings.left_gain[place], share)
+    # what a name's own law leaves says that its size or its shape is off, not that it is another's
+    held = max((item.held for item in found.left if item.feature.effect not in names), default=0.0)
+    ahead = held - _second_gain(found) if held > limit and found.kind != "pair" else np.inf
+    bumps = max((item.held for item in found.left_local), default=0.0)
+    left = found.left[0].gain if found.left else 0.0
+    enough = found.kind == "single" and names[0] in beside
+    return not enough and (
+        (held > limit and ahead > settings.left_ahead)
+        or bumps > max(settings.local_gain, share)
+        or (left >= settings.rivals_from and _one_term_explains_more_than_names(found, value))
+    )
 
 
 def look_at_what_is_left(found: Search, best: Linearisation) -> float:
@@ -205,8 +234,8 @@ def _both_are_sure(found: Search, pair: Fit) -> bool:
 
 def _second_gain(found: Search) -> float:
     """What the best other name would gain beside the chosen explanation: what the catalogue says isn't nameless."""
-    if found.kind == "single" or found.best is None:
-        return found.second_effect_gain
+    if found.best is None or (found.kind == "single" and found.second_effect_gain is not None):
+        return found.second_effect_gain or 0.0
     return next((item.gain for item in _beyond(found, found.best)), 0.0)
 
 

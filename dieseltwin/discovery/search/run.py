@@ -8,27 +8,34 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 
-from dieseltwin.discovery.laws.features import Structure, generic_features, local_features, score_features
-from dieseltwin.discovery.laws.sensor import best_law
+from dieseltwin.discovery.laws.sensor import laws_in_turn
 from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, fit_fully
 from dieseltwin.discovery.likelihood.learned import belief_of
 from dieseltwin.discovery.likelihood.refit import nearer, refit_all
-from dieseltwin.discovery.likelihood.score import best_of_each, spread, without_parameters
-from dieseltwin.discovery.search.by_recording import Start, gained_elsewhere, refitted, starts_by_recording
+from dieseltwin.discovery.likelihood.score import best_of_each
+from dieseltwin.discovery.search.alarms import (
+    hidden_bar,
+    raises_alarm,
+    score_unnamed,
+    shown_by_simulation,
+    shown_in_part,
+)
+from dieseltwin.discovery.search.by_recording import Start, refitted, starts_by_recording
 from dieseltwin.discovery.search.circumstances import (
     ROUNDS,
     in_assumed_weather,
     in_weather_of,
     under_circumstances,
     weather_is_settled,
+    with_reading_in_time,
 )
 from dieseltwin.discovery.search.explanations import (
     beyond_law,
     choose,
     choose_so_far,
-    one_term_gains,
     pair_beats_single,
     polish,
+    single_stands,
     try_more_pairs,
     try_pairs,
 )
@@ -37,14 +44,12 @@ from dieseltwin.discovery.search.preparation import (
     prepared_about,
     recentred,
     tolerance_responses,
-    verify,
 )
 from dieseltwin.discovery.search.renewal import BENDS, about_the_leader
 from dieseltwin.discovery.search.settled import evidence_of
 from dieseltwin.discovery.search.standing import explain_standing
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.search.variant_fits import scan_all, try_variants
-from dieseltwin.discovery.search.variants import Variant, edge_cost
 from dieseltwin.discovery.time_limit import OutOfTimeError, time_limit
 from dieseltwin.discovery.twins.interface import Twin
 from dieseltwin.settings.search import SearchSettings
@@ -57,7 +62,6 @@ _UNSTUCK_ROUNDS = 6
 _RENEWALS = 3  # about the leading explanation, until it stays the same
 _WEATHERS = 3  # in which a name is tried that isn't enough in that of before
 _WITHIN = 1.25  # times the name's gain: what explains more than that isn't the weather's doing
-_REBASED_BELOW = 150.0  # gain; clear cases needn't be verified
 
 
 def run(
@@ -99,7 +103,7 @@ def carry_on(
             _explain(found)
             found = _in_own_weather(found)
             if found.kind == "law" and laws:
-                found = _with_law(found)
+                found = _with_reading_in_time(_with_law(found))
     except OutOfTimeError:
         found.unfinished = STAGES[STAGES.index(found.stage) :]
         if found.kind != "law" and (found.kind != "healthy" or raises_alarm(found, found.singles[0])):
@@ -147,43 +151,45 @@ def _in_own_weather(found: Search) -> Search:
         other = in_weather_of(here, here.singles[0])
         if other is None:
             break
-        here = _explained_anew(other, found.settings)
+        here = _in_short(other, found.settings)
         if here.singles[0].candidate.names != name:
             break
+        if here.kind == "single":
+            _explain(here)
         if here.kind == "single":
             chosen = here
     return chosen
 
 
-def _explained_anew(twin: Twin, settings: SearchSettings) -> Search:
-    """The search of a twin under other circumstances, up to a law."""
+def _in_short(twin: Twin, settings: SearchSettings) -> Search:
+    """The search of a twin under other circumstances, without what acts in parts and without two effects: "single"
+    where the best name is enough by itself, "law" where something has no name, else "healthy"."""
     found = _about_leading_name(_with_singles(prepare(twin, settings)))
-    _explain(found)
+    alarm, unnamed = score_unnamed(found)
+    if alarm:
+        found.kind = "single"
+        if not single_stands(found):
+            _nameless(found)
+    elif unnamed is not None or shown_by_simulation(found):
+        _nameless(found)
     return found
 
 
 def _explain(found: Search) -> None:
     """Everything beyond single effects but a law: what has no name, onsets and regions, two effects."""
-    twin, settings = found.twin, found.settings
-    found.stage = "terms without a name"
-    found.scanned = scan_all(found.null, found.scored, settings.least_share)
+    found.kind, found.best = "healthy", None
+    found.scanned = scan_all(found.null, found.scored, found.settings.least_share)
     tried = [*found.scanned, *(variant for variant, _ in found.variants)]
     once = [variant for variant in tried if not variant.gone]  # many parts follow the driving where a map is off
-    hidden = any(variant.gain > _hidden_bar(found, variant) for variant in once)
-    base = verify(found) if found.gain(found.singles[0]) < _REBASED_BELOW else found.null
-    clock = time.perf_counter()
-    found.structure = score_features(base, generic_features(twin, found.null.fit))
-    found.local = score_features(base, local_features(twin, found.null.fit))
-    found.seconds["structure"] = time.perf_counter() - clock
-    unnamed = _unnamed(found)
-    alarm = raises_alarm(found, found.singles[0]) or (unnamed is not None and _explained_by_catalogue(found, unnamed))
+    hidden = any(variant.gain > hidden_bar(found, variant) for variant in once)
+    alarm, unnamed = score_unnamed(found)
     clock = time.perf_counter()
     if alarm or hidden:
         found.stage = "onsets and regions"
         try_variants(found)
     found.seconds["variants"] = time.perf_counter() - clock
-    if not alarm and not (hidden and _shown(found)):
-        if unnamed is not None or _shown_by_simulation(found):
+    if not alarm and not (hidden and shown_in_part(found)):
+        if unnamed is not None or shown_by_simulation(found):
             _nameless(found)
         return
     found.kind, found.stage = "single", "two effects"
@@ -274,13 +280,25 @@ def _with_law(found: Search) -> Search:
     if other is None:
         _law(found)
         return found
-    here = _explained_anew(other, found.settings)
+    here = _in_short(other, found.settings)
     if here.kind == "law":
         _law(here)
         if here.law is not None and weather_is_settled(here):
             return here
     _law(found)
     return min((found, here), key=_evidence_with_law) if here.kind == "law" else found
+
+
+def _with_reading_in_time(found: Search) -> Search:
+    """The search with the law of a reading that lags and isn't late as well, where that explains more."""
+    other = with_reading_in_time(found)
+    if other is None:
+        return found
+    here = _in_short(other, found.settings)
+    if here.kind != "law":
+        return found
+    _law(here)
+    return min((found, here), key=_evidence_with_law)
 
 
 def _evidence_with_law(found: Search) -> float:
@@ -294,11 +312,9 @@ def _law(found: Search) -> None:
     does isn't linear. A back pressure, 28 % of the best one's, was a law of the turbine's efficiency.
     """
     clock = time.perf_counter()
-    for everywhere in (False, True):
-        law = best_law(
-            found.twin, found.null, found.everything_unnamed(),
-            lambda here: tolerance_responses(here.twin, here, found.settings), everywhere,
-        )  # fmt: skip
+    laws = laws_in_turn(found.twin, found.null, found.everything_unnamed(),
+                        lambda here: tolerance_responses(here.twin, here, found.settings))  # fmt: skip
+    for law in laws:
         if law is None or (found.law is not None and law.score <= found.law.score):
             break
         found.law = law
@@ -306,70 +322,3 @@ def _law(found: Search) -> None:
         if not found.more_is_missing():
             break
     found.seconds["law"] = time.perf_counter() - clock
-
-
-def _shown(found: Search) -> bool:
-    """Whether an onset or a region that the linear scan promised keeps its promise when it is simulated."""
-    if not found.variants:
-        return False
-    variant, fit = found.variants[0]
-    if found.gain(fit) - edge_cost(variant) <= _hidden_bar(found, variant):
-        return False
-    if variant.profile is not None:
-        return gained_elsewhere(found.null, fit) >= found.settings.least_spread
-    direction = without_parameters(found.null, found.null.metric.project(variant.response[None]))[0]
-    return spread(found.null, direction) >= found.settings.least_spread
-
-
-def _hidden_bar(found: Search, variant: Variant) -> float:
-    """Gain from which an effect that doesn't act everywhere and always raises an alarm by itself."""
-    return found.settings.hidden_gain if variant.profile is None else found.settings.hidden_profile_gain
-
-
-def _unnamed(found: Search) -> Structure | None:
-    """The strongest term without a name that raises an alarm by itself, None where none does."""
-    settings, needed = found.settings, _named_already(found)
-    for item in found.lasting():
-        bar = settings.unnamed_gain if item.feature.channel is None else settings.unnamed_sensor_gain
-        if item.gain > max(bar, needed):
-            return item
-    return found.local_ahead(needed)
-
-
-def _named_already(found: Search) -> float:
-    """Gain that a term without a name must have where a name that is too small to be of interest is beyond chance.
-
-    The misfit has a name then, and a term must be ahead of it as a law of a name of interest: half a tolerance of
-    back pressure, 29, was "none of these, in the reading T_em", which explained 27.
-    """
-    lead = found.singles[0]
-    if not found.beyond_chance(lead) or found.of_interest(lead):
-        return 0.0
-    return found.gain(lead) + found.settings.law_gain
-
-
-def _shown_by_simulation(found: Search) -> bool:
-    """Whether a term without a name that is weak by its linear score raises an alarm where it is simulated.
-
-    Far from nothing the score tells too little: a compressor whose flow was 3.4 % short, a name that was withheld, had
-    12 and explained 51 beside ambient as published. Simulated, terms on 75 healthy engines explained at most 13.
-    """
-    settings = found.settings
-    linear = max((item.gain for item in found.nameless() if item.feature.form is not None), default=0.0)
-    if settings.unnamed_simulated_from is None or linear < settings.unnamed_simulated_from:
-        return False
-    return one_term_gains(found, max(settings.unnamed_gain, _named_already(found)))
-
-
-def _explained_by_catalogue(found: Search, item: Structure) -> bool:
-    """Whether the best name says the same as a term: one finding, and it has a name."""
-    fit = found.singles[0]
-    return (
-        found.known_by_name(item) and fit.candidate.names == (item.feature.effect,)
-        and found.gain(fit) > item.gain - found.settings.law_gain and found.of_interest(fit)
-    )  # fmt: skip
-
-
-def raises_alarm(found: Search, fit: Fit) -> bool:
-    """Whether one effect of one size is beyond chance and as large as is of interest."""
-    return found.beyond_chance(fit) and found.of_interest(fit)

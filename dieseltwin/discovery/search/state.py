@@ -26,11 +26,11 @@ class Search:
     """Everything that the search found out.
 
     `null` is the health-only fit, `best` the explanation; `second_effect_gain` is what the best second effect would
-    gain beside the best single one, `spreads` which share of it each second effect keeps without its best window.
-    `standing`: nearly all is explained by a valve that stands still, found before anything was scored. `stage` is what
-    is looked at, `unfinished` the stages that no time was left for. `widening` is the factor of
-    the variances of `best` beyond its own fit's. `unsettled` are the explanations
-    that led in turns when the likelihood was renewed about the leading one; none where it stayed the same.
+    gain beside the best single one (None: not looked at), `spreads` which share of it each second effect keeps without
+    its best window. `standing`: nearly all is explained by a valve that stands still, found before anything was scored.
+    `stage` is what is looked at, `unfinished` the stages that no time was left for. `widening` is the factor of the
+    variances of `best` beyond its own fit's. `unsettled` are the explanations that led in turns when the likelihood was
+    renewed about the leading one; none where it stayed the same.
     """
 
     twin: Twin
@@ -42,7 +42,7 @@ class Search:
     chance: Chance
     singles: list[Fit] = field(default_factory=list)
     pairs: list[Fit] = field(default_factory=list)
-    second_effect_gain: float = 0.0
+    second_effect_gain: float | None = None
     spreads: dict[str, float] = field(default_factory=dict)
     scanned: list[Variant] = field(default_factory=list)
     variants: list[tuple[Variant, Fit]] = field(default_factory=list)

@@ -80,6 +80,7 @@ class EngineTwin:
         map_tolerance: standard deviation of the maps' smooth errors [-].
         belief: what was learned of the engine: its corrections are simulated, and readings are what they would be
             without its sensors' errors; None for maps and sensors as they are.
+        like: a twin of the same recording, nearly the same, whose windows and steps are taken over.
 
     Raises:
         InputError: no sensor, or no stretch with the engine running.
@@ -97,6 +98,7 @@ class EngineTwin:
         *,
         map_tolerance: float = MAP_TOLERANCE,
         belief: Belief | None = None,
+        like: EngineTwin | None = None,
     ) -> None:
         self.belief = belief
         if belief is not None:
@@ -151,8 +153,18 @@ class EngineTwin:
         self._known = known_terms(self.engine.terms, time, self.start_s, inputs)
         self._laws = law_terms(self.engine.terms)
         self._law_signals: dict[str, Array] = {}
+        if like is not None:
+            self._take_over(like)
         self._begin()
         self.deviation = np.zeros(basis().maps.size)
+
+    def _take_over(self, other: EngineTwin) -> None:
+        """Windows and steps of another twin of the same recording, and its states where a column is missing: its
+        pressures settle before a window's readings count."""
+        self.starts = other.starts
+        for known in ("_stiffness", "_nominal_states"):
+            if known in other.__dict__:
+                self.__dict__[known] = other.__dict__[known]
 
     @cached_property
     def _even(self) -> list:

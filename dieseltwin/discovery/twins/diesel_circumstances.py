@@ -106,19 +106,21 @@ class LoggedTwin(EngineTwin):
     Args:
         recording, engine, sensors, map_tolerance, belief: as of `EngineTwin`.
         beliefs: of the circumstances; values, opened: as the attributes.
+        like: the twin under circumstances near these, whose windows, steps and states at rest are taken over.
     """
 
     def __init__(
         self, recording: Recording, engine: EngineParameters, sensors: Sequence[str] | None = None, *,
         map_tolerance: float = MAP_TOLERANCE, belief: Belief | None = None, beliefs: CircumstanceSettings | None = None,
         values: Mapping[str, float] | None = None, opened: frozenset[str] = frozenset(),
+        like: LoggedTwin | None = None,
     ) -> None:  # fmt: skip
         engine = with_charge(engine, recording)
         self.values: Mapping[str, float] = {
             name: applicable(recording, name, value) for name, value in (values or {}).items()
         }
         right, under = put_right(recording, engine, self.values)
-        super().__init__(right, under, sensors, map_tolerance=map_tolerance, belief=belief)
+        super().__init__(right, under, sensors, map_tolerance=map_tolerance, belief=belief, like=like)
         self._read = recording, engine, sensors, map_tolerance, belief
         self.beliefs = beliefs or default_search().circumstances
         self.opened = opened
@@ -136,13 +138,12 @@ class LoggedTwin(EngineTwin):
         self.hypotheses = {name: item for name, item in self.hypotheses.items() if name not in delays}
 
     def under(self, values: Mapping[str, float], opened: frozenset[str], like: bool = False) -> LoggedTwin:
-        """The twin of the recording under other circumstances; `like`: with the windows and holes of this one."""
+        """The twin of the recording under other circumstances; `like`: near these, with the windows and holes of this
+        one."""
         recording, engine, sensors, map_tolerance, belief = self._read
-        other = LoggedTwin(recording, engine, sensors, map_tolerance=map_tolerance, belief=belief,
-                           beliefs=self.beliefs, values=values, opened=opened)  # fmt: skip
+        other = LoggedTwin(recording, engine, sensors, map_tolerance=map_tolerance, belief=belief, beliefs=self.beliefs,
+                           values=values, opened=opened, like=self if like else None)  # fmt: skip
         if like:
-            other.starts = self.starts
-            other._begin()
             empty = ~np.isfinite(self.measured).any(axis=1)
             other.measured[empty] = np.nan
         return other

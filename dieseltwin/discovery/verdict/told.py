@@ -133,7 +133,9 @@ def _law_beside_fine_maps(found: Search, at: Linearisation) -> Fit:
     if found.law is None or at.nuisance_response is None or _fine_maps(found, found.null) is None:
         return at.fit
 
-    fine = about_itself(at, lambda here: tolerance_responses(here.twin, here, found.settings, FINE, linear=True))
+    fine = about_itself(
+        at, lambda here: tolerance_responses(here.twin, here, found.settings, FINE, linear=True), passes=1
+    )
     apart = fine.fit.parameters - at.fit.parameters
     return replace(at.fit, covariance=cast(Array, fine.fit.covariance) + np.outer(apart, apart))
 

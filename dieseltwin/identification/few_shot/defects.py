@@ -1,17 +1,12 @@
 """What a basis cannot follow: defects of the projected exact solution, from the compiled simulator.
 
-The exhaust pressure follows the inputs within 11-41 ms while 125 heads resolve half a second. A smooth
-trajectory
-therefore cannot obey the differential equations at the samples even at the true parameters, and what it
-misses is not
-noise: it is largest in the transients that carry the information on h_tot. Left alone it biases h_tot by
-    1.5-2
+The exhaust pressure follows the inputs within 11-41 ms while 125 heads resolve half a second. A smooth trajectory
+therefore cannot obey the differential equations at the samples even at the true parameters, and what it misses is not
+noise: it is largest in the transients that carry the information on h_tot. Left alone it biases h_tot by 1.5-2
 Cramer-Rao bounds (measured, every basis).
 
-The remedy is the defect correction of multigrid methods: simulate from the current estimate, project the
-    simulated
-states onto the heads, and ask the heads' residual and readings to match those of the projection instead of
-zero. At a
+The remedy is the defect correction of multigrid methods: simulate from the current estimate, project the simulated
+states onto the heads, and ask the heads' residual and readings to match those of the projection instead of zero. At a
 solution the corrected equations are those of the exact model, whatever the width of the basis.
 """
 
@@ -31,10 +26,8 @@ from dieseltwin.identification.few_shot.residuals import DrivenInputs, PointMode
 STEP_S = 0.02
 """Integration step [s]: errs by some 0.01 %, a tenth of what the basis misses."""
 WINDOW_S, WARM_UP_S, FADE_S = 10.0, 2.0, 1.0
-"""Windows of the simulation restart from the heads' trajectory [s]: the engine is unstable in places, and a
-single run
-of a minute would leave the trajectory there. Pressures forget their start within the warm-up; neighbouring
-windows are
+"""Windows of the simulation restart from the heads' trajectory [s]: the engine is unstable in places, and a single run
+of a minute would leave the trajectory there. Pressures forget their start within the warm-up; neighbouring windows are
 blended over the fade."""
 
 
@@ -113,8 +106,7 @@ class Defects:
 
 
 ASTRAY = 0.5
-"""A window whose simulated state leaves the trajectory by more than this share has nothing to say about
-it."""
+"""A window whose simulated state leaves the trajectory by more than this share has nothing to say about it."""
 
 
 def simulate_windows(

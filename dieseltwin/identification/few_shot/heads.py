@@ -1,11 +1,8 @@
-"""Trajectories as heads on a frozen body: states and their rates are linear in the heads before the output
-transform.
+"""Trajectories as heads on a frozen body: states and their rates are linear in the heads before the output transform.
 
-Source: paper, section "Few-shot transfer learning", y = h W_out + b_out and dy/dt = (dh/dt) W_out, with the
-    output
-transforms of the table "Neural network for PINN". The bias is one more head on a constant column. The
-columns are
-made orthonormal once (QR): a trained body's own columns have condition numbers of 1e8 to 1e16.
+Source: paper, section "Few-shot transfer learning", y = h W_out + b_out and dy/dt = (dh/dt) W_out, with the output
+transforms of the table "Neural network for PINN". The bias is one more head on a constant column. The columns are made
+orthonormal once (QR): a trained body's own columns have condition numbers of 1e8 to 1e16.
 """
 
 from __future__ import annotations

@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from scipy.stats import rankdata
 
 from dieseltwin.recordings.guess.facts import Facts
 from dieseltwin.recordings.guess.reading import Reading
 from dieseltwin.recordings.importers.signals import Signal
+from dieseltwin.recordings.ranks import ranks
 
 R_AIR = 287.0  # J/(kg K)
 VOLUMETRIC_EFFICIENCY = 0.9  # +-0.1 for every charged diesel
@@ -248,7 +248,7 @@ def ranks_agree(a: np.ndarray, b: np.ndarray) -> float:
     there = np.isfinite(a) & np.isfinite(b)
     if not there.any() or np.ptp(a[there]) == 0.0 or np.ptp(b[there]) == 0.0:
         return 0.0
-    return float(np.corrcoef(rankdata(a[there]), rankdata(b[there]))[0, 1])
+    return float(np.corrcoef(ranks(a[there]), ranks(b[there]))[0, 1])
 
 
 def moves(values: np.ndarray) -> bool:

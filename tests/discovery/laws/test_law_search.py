@@ -23,7 +23,7 @@ from dieseltwin.discovery.laws.grammar import (
     unit_of,
 )  # fmt: skip
 from dieseltwin.discovery.laws.ranking import Ranked, rank
-from dieseltwin.discovery.laws.refit import Refit, spread_over_forms, start_of
+from dieseltwin.discovery.laws.refit import Refit, refit_all_laws, spread_over_forms, start_of
 from dieseltwin.discovery.laws.responses import Responses
 from dieseltwin.discovery.laws.twin import LawTwin, Placed
 from dieseltwin.discovery.likelihood.fit import Linearisation
@@ -87,11 +87,16 @@ def _null(twin: SimpleTwin) -> Linearisation:
     return null_fit(twin, Whitening.of(twin.measured, twin.noise(), twin.starts))
 
 
+def _search(twin: Twin, at: Linearisation, screened: tuple[str, ...] | None = None) -> law_search.Law | None:
+    found = law_search.LawSearch(twin, at)
+    return None if found.best(screened) is None else found.law()
+
+
 def test_planted_leak_is_found_with_exponent_and_coefficient():
     true = Factor("power", ("h_2",), (1.0,), 2.0, ("m",))
     twin = _tanks(1, Placed(Form("lower_balance", (true,)), -0.002))
     at = _null(twin)
-    found = law_search.search(twin, at)
+    found = _search(twin, at)
     assert found is not None and found.site == "lower_tank"
     (placed,) = found.placed
     (factor,) = placed.form.factors
@@ -114,7 +119,7 @@ def test_planted_leak_is_found_with_exponent_and_coefficient():
 def test_a_root_leak_upstream_keeps_its_exponent():
     """sqrt(h_1) out of the upper tank and out of the lower tank's inflow are one and the same."""
     twin = _tanks(3, Placed(Form("upper_balance", (ROOT,)), -0.006))
-    found = law_search.search(twin, _null(twin), screened=("upper_balance",))
+    found = _search(twin, _null(twin), screened=("upper_balance",))
     assert found is not None
     (placed,) = found.placed
     assert placed.form.factors[0].shape == 0.5
@@ -127,7 +132,7 @@ def test_no_law_on_healthy_recordings(monkeypatch: pytest.MonkeyPatch):
     alarms = 0
     for seed in range(20):
         twin = _tanks(100 + seed, n=400)
-        alarms += law_search.search(twin, _null(twin)) is not None
+        alarms += _search(twin, _null(twin)) is not None
     assert alarms == 0
 
 
@@ -189,7 +194,7 @@ def test_law_as_signals_is_refitted_alike():
     plain = _Plain(twin)
     whitening = Whitening.of(twin.measured, twin.noise(), twin.starts)
     at, readings = null_fit(plain, whitening), whitening.present.sum()
-    found = law_search.search(plain, at, screened=("lower_balance",))
+    found = _search(plain, at, screened=("lower_balance",))
     assert found is not None and found.site == "lower_tank"
     assert "h_2" in found.placed[0].form.variables and at.fit.objective > 1.3 * readings
     assert at.fit.objective - found.gain < 1.1 * readings
@@ -285,3 +290,22 @@ def test_simple_twin_is_a_twin():
     shared = twin.simulate(replace(lanes, signals={"upper_balance": signal[1]}))
     assert np.array_equal(moved[0], moved[2])
     assert np.allclose(moved[1], shared[0]) and not np.allclose(moved[1], moved[0])
+
+
+def test_what_was_refitted_for_some_points_is_known_for_all(monkeypatch: pytest.MonkeyPatch):
+    """The best law of the likely points stays the best of all, and none of its forms is refitted again."""
+    twin = _tanks(1, Placed(Form("lower_balance", (Factor("power", ("h_2",), (1.0,), 2.0, ("m",)),)), -0.002))
+    asked: list[list[object]] = []
+
+    def noted(*given):
+        asked.append([item.key for item in given[3]])
+        return refit_all_laws(*given)
+
+    monkeypatch.setattr(law_search, "refit_all_laws", noted)
+    found = law_search.LawSearch(twin, _null(twin))
+    first = found.best(("lower_balance",))
+    narrow = len(asked)
+    assert first is not None and found.best() is first
+    keys = [key for keys in asked for key in keys]
+    assert len(set(keys)) == len(keys) > 0
+    assert any(key[0][0] != "lower_balance" for keys in asked[narrow:] for key in keys)

@@ -13,7 +13,7 @@ from dieseltwin.discovery.laws.grammar import Factor, Form
 from dieseltwin.discovery.laws.ranking import Ranked, simpler
 from dieseltwin.discovery.laws.reading_twin import ReadingFault
 from dieseltwin.discovery.laws.search import Law, _simplest_first
-from dieseltwin.discovery.laws.sensor import best_law, faults_of, sensor_law
+from dieseltwin.discovery.laws.sensor import best_law, faults_of, sensor_fault
 from dieseltwin.discovery.laws.shapes import lagged, orifice
 from dieseltwin.discovery.laws.terms import law_terms_of
 from dieseltwin.discovery.laws.twin import Placed
@@ -38,8 +38,10 @@ def test_gain_and_offset_are_refitted(kind: str, size: float) -> None:
     toy.measured[:, 0] = toy.measured[:, 0] * (1.0 + size) if kind == "gain" else toy.measured[:, 0] + size
     at = _null(toy)
     structure = score_features(at, generic_features(cast(Twin, toy), at.fit))
-    law = sensor_law(cast(Twin, toy), at, faults_of(structure, toy.channels))
-    assert law is not None and law.site == "sensor:x" and law.faults[0].kind == kind
+    fault = sensor_fault(cast(Twin, toy), at, faults_of(structure, toy.channels))
+    assert fault is not None
+    law = fault.law()
+    assert law.site == "sensor:x" and law.faults[0].kind == kind
     assert law.faults[0].size == pytest.approx(size, abs=max(4.0 * law.std, 0.01)) and 0.0 < law.std < 0.02
     assert law.parameters[0] == pytest.approx(1.1, rel=0.01)
     assert law.gain > 0.5 * at.fit.objective
@@ -55,10 +57,12 @@ def test_a_lag_is_found_where_a_sensor_may_lag() -> None:
     toy = Toy().record()
     toy.measured[:, 1] = lagged(toy.measured[:, 1], toy.time_s, 0.8)
     at = _null(toy)
-    assert sensor_law(cast(Twin, toy), at, ()) is None
+    assert sensor_fault(cast(Twin, toy), at, ()) is None
     toy.law_scope = LawScope(lagging_sensors=("y",))  # type: ignore[attr-defined]
-    law = sensor_law(cast(Twin, toy), at, ())
-    assert law is not None and law.faults[0].kind == "lag"
+    fault = sensor_fault(cast(Twin, toy), at, ())
+    assert fault is not None
+    law = fault.law()
+    assert law.faults[0].kind == "lag"
     assert law.faults[0].size == pytest.approx(0.8, abs=0.1)
 
 
@@ -66,7 +70,7 @@ def test_nothing_on_a_healthy_recording() -> None:
     toy = Toy().record()
     at = _null(toy)
     structure = score_features(at, generic_features(cast(Twin, toy), at.fit))
-    assert sensor_law(cast(Twin, toy), at, faults_of(structure, toy.channels)) is None
+    assert sensor_fault(cast(Twin, toy), at, faults_of(structure, toy.channels)) is None
     assert faults_of([s for s in structure if s.feature.channel is None], toy.channels) == []
 
 
@@ -155,10 +159,10 @@ def test_the_last_fit_is_about_the_fault_itself() -> None:
         own[:, 0] = 0.005 * here.simulated[:, 0].mean()
         return own[None]
 
-    law = sensor_law(
-        cast(Twin, toy), at, faults_of(structure, toy.channels), at.nuisance_response, tolerances=tolerances
-    )
-    assert law is not None and asked  # asked about the reading with its fault, not about the one without
+    fault = sensor_fault(cast(Twin, toy), at, faults_of(structure, toy.channels))
+    assert fault is not None
+    law = fault.law(tolerances)
+    assert asked  # asked about the reading with its fault, not about the one without
     assert asked[0][:, 0].mean() == pytest.approx(np.nanmean(toy.measured[:, 0]), rel=0.05)
     assert law.faults[0].size == pytest.approx(0.2, abs=max(4.0 * law.std, 0.02))
 
