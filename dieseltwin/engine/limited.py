@@ -83,7 +83,7 @@ class Limited(BaseModel):
 
     def factor(self, time_s: np.ndarray, start_s: float, conditions: Mapping[str, np.ndarray]) -> np.ndarray:
         """Share of its magnitude that the term has, shape (n,); half of it over an interval in which a condition enters
-        or leaves its region.
+        or leaves its region. Between rows of one time, as settled points are, lies no interval.
 
         Args:
             time_s: sample times [s], (n,); start_s: the recording's start, from which its times count.
@@ -96,6 +96,6 @@ class Limited(BaseModel):
             for column, (low, high) in self.region.items():
                 inside *= (conditions[column] >= low) & (conditions[column] <= high)
             # Factors are held over the interval behind their sample; the region's edge lies somewhere inside.
-            inside[:-1] = 0.5 * (inside[:-1] + inside[1:])
+            inside[:-1] = np.where(np.diff(time_s) > 0.0, 0.5 * (inside[:-1] + inside[1:]), inside[:-1])
             factor = factor * inside
         return factor

@@ -35,6 +35,13 @@ def test_a_region_halves_its_edges_and_leaves_the_onset_where_it_is() -> None:
     assert term.factor(TIME_S, 1000.0, {"n_e_rpm": speeds}).tolist() == [0, 0, 0, 0, 1, 1, 0.5, 0, 0, 0]
 
 
+def test_a_region_of_settled_points_goes_point_by_point() -> None:
+    """They are of no time: the next row is no neighbour."""
+    term = Term(effect="boost_leak", magnitude=2e-5, region={"n_e_rpm": (1000.0, 1300.0)})
+    speeds = np.array([1200.0, 1400.0, 1100.0, 1400.0])
+    assert term.factor(np.zeros(4), 0.0, {"n_e_rpm": speeds}).tolist() == [1, 0, 1, 0]
+
+
 def test_it_is_gone_in_between() -> None:
     assert _share(onset_s=1.0, until_s=9.0, gone_s=((2.0, 4.0), (6.0, 7.0))) == [0, 1, 0, 0, 1, 1, 0, 1, 1, 0]
     assert _share(gone_s=((2.0, 4.0),), rows=slice(3, 6)) == [0, 1, 1]
