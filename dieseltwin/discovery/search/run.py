@@ -103,7 +103,8 @@ def carry_on(
             _explain(found)
             found = _in_own_weather(found)
             if found.kind == "law" and laws:
-                found = _with_reading_in_time(_with_law(found))
+                found = _with_law(found)
+                found = _with_reading_in_time(found)
     except OutOfTimeError:
         found.unfinished = STAGES[STAGES.index(found.stage) :]
         if found.kind != "law" and (found.kind != "healthy" or raises_alarm(found, found.singles[0])):
