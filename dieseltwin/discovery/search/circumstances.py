@@ -63,6 +63,13 @@ def weather_is_read(twin: WithCircumstances) -> bool:
     return all(item.read for item in twin.circumstances if item.plain in AMBIENT)
 
 
+def same_circumstances(one: Twin, other: Twin) -> bool:
+    """Whether two twins of one recording are under the same circumstances."""
+    if not (isinstance(one, WithCircumstances) and isinstance(other, WithCircumstances)):
+        return False
+    return dict(one.values) == dict(other.values) and one.opened == other.opened
+
+
 def in_weather_of(found: Search, fit: Fit) -> Twin | None:
     """The twin in the weather, simulated, that an explanation asks for; None where it is there, or columns say it.
 

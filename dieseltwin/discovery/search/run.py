@@ -25,6 +25,7 @@ from dieseltwin.discovery.search.circumstances import (
     ROUNDS,
     in_assumed_weather,
     in_weather_of,
+    same_circumstances,
     under_circumstances,
     weather_is_settled,
     with_reading_in_time,
@@ -162,10 +163,17 @@ def _in_own_weather(found: Search) -> Search:
     return chosen
 
 
-def _in_short(twin: Twin, settings: SearchSettings) -> Search:
+def _in_short(twin: Twin, settings: SearchSettings, earlier: Sequence[Search] = ()) -> Search:
     """The search of a twin under other circumstances, without what acts in parts and without two effects: "single"
-    where the best name is enough by itself, "law" where something has no name, else "healthy"."""
-    found = _about_leading_name(_with_singles(prepare(twin, settings)))
+    where the best name is enough by itself, "law" where something has no name, else "healthy".
+
+    Args:
+        twin: under those circumstances.
+        settings: thresholds.
+        earlier: searches up to their single effects, one of which may be under the same circumstances.
+    """
+    there = next((each.anew() for each in earlier if same_circumstances(each.twin, twin)), None)
+    found = _about_leading_name(there or _with_singles(prepare(twin, settings)))
     alarm, unnamed = score_unnamed(found)
     if alarm:
         found.kind = "single"
@@ -230,6 +238,7 @@ def looked_at(found: Search, starts: Sequence[Fit] = ()) -> Search:
         if other is None:
             return found
         before, found = found, _with_singles(prepare(other, found.settings))
+        found.earlier = [*before.earlier, before]
     both = [_lead(each) for each in (before, found)]
     if both[0].candidate.names != both[1].candidate.names and under_circumstances(found) is not None:
         found.unsettled = [fit.candidate.names for fit in both]
@@ -281,7 +290,7 @@ def _with_law(found: Search) -> Search:
     if other is None:
         _law(found)
         return found
-    here = _in_short(other, found.settings)
+    here = _in_short(other, found.settings, found.earlier)
     if here.kind == "law":
         _law(here)
         if here.law is not None and weather_is_settled(here):

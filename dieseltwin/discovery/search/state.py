@@ -30,7 +30,8 @@ class Search:
     its best window. `standing`: nearly all is explained by a valve that stands still, found before anything was scored.
     `stage` is what is looked at, `unfinished` the stages that no time was left for. `widening` is the factor of the
     variances of `best` beyond its own fit's. `unsettled` are the explanations that led in turns when the likelihood was
-    renewed about the leading one; none where it stayed the same.
+    renewed about the leading one; none where it stayed the same. `earlier` are the searches up to single effects under
+    the circumstances that were thought of before.
     """
 
     twin: Twin
@@ -66,6 +67,7 @@ class Search:
     stage: str = ""
     unfinished: tuple[str, ...] = ()
     unsettled: list[tuple[str, ...]] = field(default_factory=list)
+    earlier: list[Search] = field(default_factory=list)
 
     def anew(self) -> Search:
         """The same for a search of its own, as long as nothing was looked for here."""

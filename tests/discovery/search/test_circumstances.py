@@ -30,6 +30,7 @@ from dieseltwin.discovery.likelihood.circumstances import (
 from dieseltwin.discovery.likelihood.fit import Candidate, Linearisation, first_fit, fit_fully, simulate_fits
 from dieseltwin.discovery.likelihood.metric import Whitening
 from dieseltwin.discovery.options import Options
+from dieseltwin.discovery.search import run as search_run
 from dieseltwin.discovery.search.circumstances import (
     _chosen,
     _clocks_by_rows,
@@ -56,6 +57,7 @@ from dieseltwin.recordings.reader import Recording, read_recording, recording
 from dieseltwin.report.discovery_words import sentence
 from dieseltwin.sensors import MEASURED
 from dieseltwin.settings.params import default_search
+from dieseltwin.settings.search import SearchSettings
 
 LATE_S = 0.28
 
@@ -372,13 +374,24 @@ def test_one_clock_that_is_off_is_not_all_of_them() -> None:
     assert chosen[0].values["time_shift:u_vgt_pct"] == pytest.approx(-0.2, abs=0.05)
 
 
-def test_a_law_is_looked_for_in_the_weather_that_was_assumed() -> None:
-    """The fit without it had the charge 9 K warmer, and there a sum of two wrong terms explained more."""
+def test_a_law_is_looked_for_in_the_weather_that_was_assumed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The fit without it had the charge 9 K warmer, and there a sum of two wrong terms explained more.
+
+    The search in the weather that was assumed was prepared before, and isn't again.
+    """
+    weathers = []
+
+    def noted(twin: Twin, settings: SearchSettings) -> Search:
+        weathers.append(dict(cast(LoggedTwin, twin).values))
+        return prepare(twin, settings)
+
+    monkeypatch.setattr(search_run, "prepare", noted)
     frame = _driven(120.0, Fault("charge_cooler_loss", 0.16), sensors=5)
     document = discover(recording(frame), we2011.PARAMETERS, Options(withhold=("charge_cooler_loss",))).document
     (effect,) = document.effects
     assert effect.law is not None and effect.law.count("relative change") == 1
     assert effect.law.startswith("relative change of T_im: 0.16") and effect.law.endswith("(T_c/T_amb - 1)")
+    assert weathers and {} not in weathers
 
 
 def test_a_reading_that_lags_is_looked_for_without_its_clock() -> None:
