@@ -156,13 +156,14 @@ def laws_in_turn(
     if len(of_sensors) == len(near) > 0:
         yield None if fault is None else fault.law(tolerances)
         return
-    inside = LawSearch(twin, at, tolerances)
+    inside: LawSearch | None = None
     likely = near_the_best(structure, twin)
     before: Refit | FaultFit | None = None
     for screened in (None,) if likely is None else (likely, None):
         best: Refit | FaultFit | None = fault
         law: Law | None = None
         try:
+            inside = inside or LawSearch(twin, at, tolerances)
             refit = inside.best(screened)
             if refit is not None and (fault is None or _is_ahead(refit, fault)):
                 best = refit

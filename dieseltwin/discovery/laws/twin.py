@@ -189,12 +189,12 @@ class LawTwin(TwinDefaults):
                     coefficient = c if np.ndim(c) == 0 else c[b]
                     new[k, place] = np.nan_to_num(coefficient * law.form.value(at, s if s is None else s[b]))
             signals[:, moving] = new if last is None else _accelerated(*last, now, new)
-            size, change = (np.maximum(np.abs(each).max(axis=2), _LEAST_CHANGE) for each in (new, new - now))
+            size, change = (np.abs(each).max(axis=2) for each in (new, new - now))
             first = change if first is None else first
             small = _SETTLED * size
             if beside is not None:
                 small = np.clip(beside[0] * first[:, moving], beside[1] * size, small)
-            changes = ~(change < small).all(axis=0)
+            changes = ~(change <= small).all(axis=0)
             if not changes.any():
                 break
             changes[0] = True  # laws that the engine has already are settled along the first lane, for all

@@ -24,7 +24,6 @@ def raises_alarm(found: Search, fit: Fit) -> bool:
 def score_unnamed(found: Search) -> tuple[bool, Structure | None]:
     """Score terms without a name: whether the best name is an alarm, and the term that is one by itself."""
     twin = found.twin
-    found.stage = "terms without a name"
     base = verify(found) if found.gain(found.singles[0]) < _REBASED_BELOW else found.null
     clock = time.perf_counter()
     found.structure = score_features(base, generic_features(twin, found.null.fit))

@@ -52,7 +52,7 @@ from dieseltwin.discovery.search.standing import explain_standing
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.search.variant_fits import scan_all, try_variants
 from dieseltwin.discovery.time_limit import OutOfTimeError, time_limit
-from dieseltwin.discovery.twins.interface import Twin
+from dieseltwin.discovery.twins.interface import OverRecordings, Twin
 from dieseltwin.settings.search import SearchSettings
 
 STAGES = ("terms without a name", "onsets and regions", "two effects", "a law")
@@ -110,6 +110,7 @@ def carry_on(
         found.unfinished = STAGES[STAGES.index(found.stage) :]
         if found.kind != "law" and (found.kind != "healthy" or raises_alarm(found, found.singles[0])):
             choose_so_far(found)
+    found.earlier = []
     return found
 
 
@@ -128,9 +129,9 @@ def _about_leading_name(found: Search, starts: Sequence[Start] = ()) -> Search:
         lead = _lead(found)
         if belief_of(found.twin) is None or found.gain(lead) < BENDS:
             break
-        unsettled = found.unsettled
+        before = found
         found, starts = refitted(_with_singles(prepared_about(found, lead), found.singles), starts)
-        found.unsettled = unsettled
+        found.unsettled, found.earlier = before.unsettled, before.earlier
         both = [lead.candidate.names, _lead(found).candidate.names]
         if both[0] == both[1]:
             break
@@ -165,7 +166,8 @@ def _in_own_weather(found: Search) -> Search:
 
 def _in_short(twin: Twin, settings: SearchSettings, earlier: Sequence[Search] = ()) -> Search:
     """The search of a twin under other circumstances, without what acts in parts and without two effects: "single"
-    where the best name is enough by itself, "law" where something has no name, else "healthy".
+    where the best name is enough by itself, "law" where something has no name, else "healthy". Several recordings are
+    searched whole.
 
     Args:
         twin: under those circumstances.
@@ -174,6 +176,9 @@ def _in_short(twin: Twin, settings: SearchSettings, earlier: Sequence[Search] = 
     """
     there = next((each.anew() for each in earlier if same_circumstances(each.twin, twin)), None)
     found = _about_leading_name(there or _with_singles(prepare(twin, settings)))
+    if isinstance(found.twin, OverRecordings):  # what begins between two recordings is a name as well
+        _explain(found)
+        return found
     alarm, unnamed = score_unnamed(found)
     if alarm:
         found.kind = "single"
@@ -186,7 +191,7 @@ def _in_short(twin: Twin, settings: SearchSettings, earlier: Sequence[Search] = 
 
 def _explain(found: Search) -> None:
     """Everything beyond single effects but a law: what has no name, onsets and regions, two effects."""
-    found.kind, found.best = "healthy", None
+    found.kind, found.best, found.stage = "healthy", None, STAGES[0]
     found.scanned = scan_all(found.null, found.scored, found.settings.least_share)
     tried = [*found.scanned, *(variant for variant, _ in found.variants)]
     once = [variant for variant in tried if not variant.gone]  # many parts follow the driving where a map is off
@@ -296,23 +301,33 @@ def _with_law(found: Search) -> Search:
         if here.law is not None and weather_is_settled(here):
             return here
     _law(found)
-    return min((found, here), key=_evidence_with_law) if here.kind == "law" else found
+    return _better_law(found, here) if here.kind == "law" else found
 
 
 def _with_reading_in_time(found: Search) -> Search:
-    """The search with the law of a reading that lags and isn't late as well, where that explains more."""
+    """The search with the law of a reading that lags and isn't late as well, where that explains more.
+
+    A name that is enough without that clock is none: the clock was found beside the best name.
+    """
     other = with_reading_in_time(found)
     if other is None:
         return found
-    here = _in_short(other, found.settings)
+    here = _in_short(other, found.settings, found.earlier)
     if here.kind != "law":
         return found
     _law(here)
-    return min((found, here), key=_evidence_with_law)
+    return _better_law(found, here)
 
 
-def _evidence_with_law(found: Search) -> float:
-    return evidence_of(found.null) - (0.0 if found.law is None else found.law.score)
+def _better_law(one: Search, other: Search) -> Search:
+    """The search whose law explains more of the readings that both use, each with its own noise."""
+    present = one.whitening.present & other.whitening.present
+
+    def evidence(found: Search) -> float:
+        noise = 2.0 * found.whitening.log_normaliser(present)
+        return evidence_of(found.null) + noise - (0.0 if found.law is None else found.law.score)
+
+    return min((one, other), key=evidence)
 
 
 def _law(found: Search) -> None:

@@ -159,12 +159,13 @@ class EngineTwin:
         self.deviation = np.zeros(basis().maps.size)
 
     def _take_over(self, other: EngineTwin) -> None:
-        """Windows and steps of another twin of the same recording, and its states where a column is missing: its
-        pressures settle before a window's readings count."""
+        """Windows and steps of another twin of the same recording. Where a pressure has no column its states, too: they
+        settle before a window's readings count. The turbo speed doesn't."""
         self.starts = other.starts
-        for known in ("_stiffness", "_nominal_states"):
-            if known in other.__dict__:
-                self.__dict__[known] = other.__dict__[known]
+        known = ["_stiffness"]
+        if np.isfinite(self.all_readings[:, 2]).any():
+            known.append("_nominal_states")
+        self.__dict__.update({name: other.__dict__[name] for name in known if name in other.__dict__})
 
     @cached_property
     def _even(self) -> list:

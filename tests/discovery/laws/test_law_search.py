@@ -309,3 +309,21 @@ def test_what_was_refitted_for_some_points_is_known_for_all(monkeypatch: pytest.
     keys = [key for keys in asked for key in keys]
     assert len(set(keys)) == len(keys) > 0
     assert any(key[0][0] != "lower_balance" for keys in asked[narrow:] for key in keys)
+
+
+def test_lanes_settle_together_as_one_by_one():
+    """Lanes whose signal stays leave the rounds; a law without a size has a signal at once."""
+    placed = Placed(Form("lower_balance", (Factor("power", ("h_2",), (1.0,), 2.0, ("m",)),)), -0.0005)
+    base = _tanks(1, placed, n=200)
+    law = LawTwin(_Plain(base), [placed])
+    start = start_of(null_fit(_Plain(base), Whitening.of(base.measured, base.noise(), base.starts)), law)
+    lanes = start.lanes()
+    sizes = np.array([1.0, 1.0001, 1.3, 0.0])
+    many = replace(lanes, parameters=np.tile(lanes.parameters, (4, 1)), local=np.tile(lanes.local, (4, 1, 1)))
+    many.parameters[:, -1] *= sizes
+    together = law.simulate(many)
+    for k in range(4):
+        one = replace(lanes, parameters=many.parameters[k : k + 1])
+        alone = LawTwin(_Plain(base), [placed]).simulate(one)[0]
+        assert np.max(np.abs(together[k] - alone)) < 1e-5 * np.max(np.abs(alone))
+    assert np.max(np.abs(together[1] - together[0])) > 1e-9  # a difference is more than what is left to settle

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
-from types import SimpleNamespace
-from typing import Literal, cast
+from typing import cast
 
 import numpy as np
 import pandas as pd
@@ -20,7 +19,6 @@ from dieseltwin.discovery import fit_test
 from dieseltwin.discovery.discover import as_it_was, discover
 from dieseltwin.discovery.laws.features import generic_features, score_features
 from dieseltwin.discovery.laws.grammar import operators
-from dieseltwin.discovery.laws.reading_twin import ReadingFault
 from dieseltwin.discovery.likelihood.circumstances import (
     at_estimates,
     circumstance_nuisances,
@@ -36,7 +34,6 @@ from dieseltwin.discovery.search.circumstances import (
     _clocks_by_rows,
     _delay,
     in_weather_of,
-    with_reading_in_time,
 )
 from dieseltwin.discovery.search.preparation import prepare, recentred
 from dieseltwin.discovery.search.run import looked_at
@@ -392,18 +389,3 @@ def test_a_law_is_looked_for_in_the_weather_that_was_assumed(monkeypatch: pytest
     assert effect.law is not None and effect.law.count("relative change") == 1
     assert effect.law.startswith("relative change of T_im: 0.16") and effect.law.endswith("(T_c/T_amb - 1)")
     assert weathers and {} not in weathers
-
-
-def test_a_reading_that_lags_is_looked_for_without_its_clock() -> None:
-    """A slow sensor is late, too: beside a clock that was found off, a part of the lag is missing."""
-    name = "time_shift:t_em_k"
-    twin = LoggedTwin(recording(_driven(60.0)), we2011.PARAMETERS)
-    late = twin.under({name: 0.7, "p_amb_pa": 1.0e5}, frozenset({name}))
-
-    def found(kind: Literal["lag", "gain"], at: Twin) -> Search:
-        return cast(Search, SimpleNamespace(twin=at, law=SimpleNamespace(faults=(ReadingFault("t_em_k", kind, 1.0),))))
-
-    other = with_reading_in_time(found("lag", late))
-    assert isinstance(other, LoggedTwin) and not other.opened and other.values == {"p_amb_pa": 1.0e5}
-    assert with_reading_in_time(found("gain", late)) is None
-    assert with_reading_in_time(found("lag", cast(Twin, twin))) is None

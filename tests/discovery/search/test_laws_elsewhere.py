@@ -1,0 +1,80 @@
+"""Laws that are looked for under other circumstances than the search was: without a late clock, with other noise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Literal, cast
+
+import numpy as np
+import pytest
+
+from dieseltwin.challenge.plant import run_plant
+from dieseltwin.challenge.routes import draw_driving
+from dieseltwin.challenge.sensors import SensorSet, read
+from dieseltwin.discovery.laws.reading_twin import ReadingFault
+from dieseltwin.discovery.laws.search import Law
+from dieseltwin.discovery.likelihood.fit import fit_fully
+from dieseltwin.discovery.likelihood.metric import Whitening
+from dieseltwin.discovery.options import Options
+from dieseltwin.discovery.search import run as search_run
+from dieseltwin.discovery.search.circumstances import with_reading_in_time
+from dieseltwin.discovery.search.preparation import prepare
+from dieseltwin.discovery.search.settled import evidence_of
+from dieseltwin.discovery.search.state import Search
+from dieseltwin.discovery.time_limit import OutOfTimeError
+from dieseltwin.discovery.twins.diesel_circumstances import LoggedTwin
+from dieseltwin.discovery.twins.interface import Twin
+from dieseltwin.engine import we2011
+from dieseltwin.recordings.reader import recording
+
+
+def _twin() -> LoggedTwin:
+    """A minute of a healthy engine with the published maps and perfect sensors."""
+    driving = draw_driving("random", 60.0, we2011.PARAMETERS.model_dump(), np.random.default_rng(3))
+    run = run_plant(driving, we2011.PARAMETERS.model_dump(), ())
+    frame = read(run, driving, (), SensorSet.perfect(), 6, np.random.default_rng(4))
+    return LoggedTwin(recording(frame), we2011.PARAMETERS)
+
+
+def test_a_reading_that_lags_is_looked_for_without_its_clock() -> None:
+    """A slow sensor is late, too: beside a clock that was found off, a part of the lag is missing."""
+    name = "time_shift:t_em_k"
+    twin = _twin()
+    late = twin.under({name: 0.7, "p_amb_pa": 1.0e5}, frozenset({name}))
+
+    def found(kind: Literal["lag", "gain"], at: Twin) -> Search:
+        return cast(Search, SimpleNamespace(twin=at, law=SimpleNamespace(faults=(ReadingFault("t_em_k", kind, 1.0),))))
+
+    other = with_reading_in_time(found("lag", late))
+    assert isinstance(other, LoggedTwin) and not other.opened and other.values == {"p_amb_pa": 1.0e5}
+    assert with_reading_in_time(found("gain", late)) is None
+    assert with_reading_in_time(found("lag", cast(Twin, twin))) is None
+
+
+def test_a_law_stays_where_the_time_ends_behind_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    def out_of_time(found: Search) -> Search:
+        raise OutOfTimeError
+
+    def with_law(found: Search) -> Search:
+        found.law, found.stage = cast(Law, "the law"), search_run.STAGES[-1]
+        return found
+
+    begun = prepare(cast(Twin, _twin()), Options().settings())
+    monkeypatch.setattr(search_run, "_explain", lambda found: setattr(found, "kind", "law"))
+    monkeypatch.setattr(search_run, "_in_own_weather", lambda found: found)
+    monkeypatch.setattr(search_run, "_with_law", with_law)
+    monkeypatch.setattr(search_run, "_with_reading_in_time", out_of_time)
+    found = search_run.carry_on(begun)
+    assert found.law == "the law" and found.unfinished == ("a law",) and found.earlier == []
+
+
+def test_evidences_of_laws_hold_what_normalises_the_noise() -> None:
+    """Twice the noise explains the same misfit with a quarter of the squares: that is no better law."""
+    twin = cast(Twin, _twin())
+    found = prepare(twin, Options().settings())
+    loose = found.anew()
+    noise = replace(found.noise, sigma=2.0 * found.noise.sigma)
+    loose.whitening = Whitening.of(twin.measured, noise, twin.starts)
+    loose.null = fit_fully(twin, loose.whitening, found.null.fit)
+    assert evidence_of(loose.null) < evidence_of(found.null) and search_run._better_law(found, loose) is found
