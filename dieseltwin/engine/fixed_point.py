@@ -18,7 +18,7 @@ _STEEPEST = 2.0 / 3.0  # slope of a law against its own signal that a secant ste
 
 def settled(
     answer: Callable[[Signals], Mapping[str, Array]], start: Mapping[str, Array], *, rounds: int,
-    tolerance: float = 0.0, least: int = 1, secant: bool = False,
+    tolerance: float = 0.0, secant: bool = False,
 ) -> Signals:  # fmt: skip
     """Signals at which `answer` gives the signals that it is asked with.
 
@@ -27,12 +27,11 @@ def settled(
         start: first signals.
         rounds: at most so many answers.
         tolerance: largest change of a signal relative to its size that ends the rounds; 0: all rounds are gone through.
-        least: rounds that are gone through in any case.
         secant: step by the secant of each element: where a law's quantity answers its own signal strongly (a filter at
             high flow, W_c against p_bc) plain rounds swing about the solution.
     """
     now, last = dict(start), None
-    for k in range(rounds):
+    for _ in range(rounds):
         new = dict(answer(now))
         if secant and last is not None:
             following = {name: by_secant(last[0].get(name, 0.0), last[1][name], now[name], new[name]) for name in new}
@@ -40,7 +39,7 @@ def settled(
             following = new
         small = tolerance > 0.0 and unchanged(now, new, tolerance)
         last, now = (now, new), following
-        if small and k + 1 >= least:
+        if small:
             break
     return now
 

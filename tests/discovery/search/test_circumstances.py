@@ -29,12 +29,7 @@ from dieseltwin.discovery.likelihood.fit import Candidate, Linearisation, first_
 from dieseltwin.discovery.likelihood.metric import Whitening
 from dieseltwin.discovery.options import Options
 from dieseltwin.discovery.search import run as search_run
-from dieseltwin.discovery.search.circumstances import (
-    _chosen,
-    _clocks_by_rows,
-    _delay,
-    in_weather_of,
-)
+from dieseltwin.discovery.search.circumstances import _chosen, _clocks_by_rows, _delay, in_weather_of
 from dieseltwin.discovery.search.preparation import prepare, recentred
 from dieseltwin.discovery.search.run import looked_at
 from dieseltwin.discovery.search.settled import Settled
