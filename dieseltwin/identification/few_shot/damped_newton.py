@@ -1,7 +1,8 @@
 """Levenberg-Marquardt over the heads and parameters of many runs at once, each with its own damping and factor.
 
 Cost and gradient are exact at every point. The Hessian, a hundred times as dear, is assembled and factorised again only
-where the kept one no longer serves: where a step was refused, or shrank the decrement too little. That is seen at the
+where the kept one no longer serves: where a step was refused, or shrank the decrement too little. Runs of one recording
+come together long before they rest, so a run takes the first one's where both stand near each other. That is seen at the
 point itself, while `dieseltwin.least_squares` must choose before it evaluates a point: it gets gradient and Hessian
 from one integration, and solves a batch of small systems where this keeps a factor of some hundred unknowns a run.
 """
@@ -16,6 +17,7 @@ from typing import TypeVar
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.linalg.blas import dtrmv
 from scipy.linalg.lapack import dpotrf, dpotrs, dtrtrs
 from torch import Tensor
 
@@ -32,6 +34,8 @@ DAMPING_AT_REST = 1e-5
 """A factor with more damping than this isn't asked whether a run has arrived: damping shortens the way that is left."""
 KEPT_BELOW = 0.3
 """A factor is kept while a step shrinks the decrement to this share of itself."""
+NEAR = 10.0
+"""A run takes another's Hessian if that one's point is so near [standard deviations of all unknowns together]."""
 HEALTH_STEP = 0.5
 """Largest change of a log-parameter in one step."""
 HEALTH_RIDGE = 1e-2
@@ -46,23 +50,37 @@ class Factor:
     Attributes:
         damping: Levenberg-Marquardt factor of the next factorisation [-].
         stale: the Hessian belongs to an earlier point.
+        borrowed: it was made for another run.
     """
 
     def __init__(self, problem: Collocation, damping: float) -> None:
-        self.damping, self.stale = damping, False
+        self.damping, self.stale, self.borrowed = damping, False, False
         self._problem = problem
+        self._point: Array = np.empty(0)
         self._hessian: Array = np.empty((0, 0))
         self._factor: Array = np.empty((0, 0))
         self._factorised_with = float("inf")
         self._usable = False
 
-    def renew(self, of: Curvature, lane: int) -> None:
-        """Take the Hessian of the point where run `lane` stands."""
-        if not self._hessian.size:
-            self._hessian = np.empty((self._problem.size,) * 2)
+    def renew(self, of: Curvature, lane: int, point: Array) -> None:
+        """Take the Hessian of the point (m,) where run `lane` stands."""
+        self._hessian = np.empty((self._problem.size,) * 2)  # the one before may be another run's as well
         self._problem.hessian(of, lane, self._hessian)
-        self.stale = False
+        self._point, self.stale, self.borrowed = point.copy(), False, False
         self.factorise()
+
+    def borrow(self, other: Factor, point: Array) -> bool:
+        """Take another run's Hessian if it was made near this run's point (m,); whether it was, and is another one."""
+        if not other._usable or other._hessian is self._hessian:
+            return False
+        if np.linalg.norm(dtrmv(other._factor, point - other._point, lower=1, trans=1)) > NEAR:
+            return False
+        self._hessian, self._point, self._factor = other._hessian, other._point, other._factor
+        self._factorised_with, self._usable = other._factorised_with, other._usable
+        self.stale, self.borrowed = False, True
+        if self._factorised_with != self.damping:
+            self.factorise()
+        return True
 
     def factorise(self) -> None:
         """Factorise the Hessian with the present damping."""
@@ -164,7 +182,9 @@ def minimise(
     active = torch.nonzero(torch.isfinite(here.cost)).squeeze(-1)
     for _ in range(iterations_max):
         lanes = active.tolist()
-        steps = dict(zip(lanes, _side_by_side(partial(_next, runs, tolerance), lanes), strict=True))
+        first = [_next(runs, tolerance, None, lane) for lane in lanes[:1]]
+        rest = _side_by_side(partial(_next, runs, tolerance, kept[lanes[0]]), lanes[1:]) if lanes else []
+        steps = dict(zip(lanes, first + rest, strict=True))
         active = torch.tensor([lane for lane, step in steps.items() if step is not None], dtype=torch.int64)
         if not active.numel():
             break
@@ -188,14 +208,19 @@ def _side_by_side(one: Callable[[int], T], lanes: list[int]) -> list[T]:
     return list(pool(threads).map(one, lanes)) if threads > 1 and len(lanes) > 1 else list(map(one, lanes))
 
 
-def _next(runs: Runs, tolerance: float, lane: int) -> Array | None:
-    """The next step of a run (m,); None where it has arrived."""
-    factor, gradient = runs.factors[lane], runs.objective.gradient[lane].numpy()
+def _next(runs: Runs, tolerance: float, first: Factor | None, lane: int) -> Array | None:
+    """The next step of a run (m,), whose Hessian may be the first run's; None where it has arrived."""
+    factor, gradient, point = runs.factors[lane], runs.objective.gradient[lane].numpy(), runs.unknowns[lane].numpy()
+
+    def renew() -> None:
+        if first is None or not factor.borrow(first, point):
+            factor.renew(runs.objective.curvature, lane, point)
+
     if factor.empty:
-        factor.renew(runs.objective.curvature, lane)
+        renew()
     step, decrement = factor.step(gradient)
     if factor.stale and decrement > KEPT_BELOW * float(runs.decrement[lane]):
-        factor.renew(runs.objective.curvature, lane)
+        renew()
         step, decrement = factor.step(gradient)
     elif decrement < tolerance and factor.damped_away:
         factor.factorise()
@@ -212,8 +237,8 @@ def _goes_on(runs: Runs, accepted: dict[int, bool], lane: int) -> bool:
     factor = runs.factors[lane]
     if accepted[lane]:
         factor.damping, factor.stale = max(factor.damping * DAMPING_DOWN, DAMPING_MIN), True
-    elif factor.stale:  # a refused step of a Hessian from elsewhere says little
-        factor.renew(runs.objective.curvature, lane)
+    elif factor.stale or factor.borrowed:  # a refused step of a Hessian from elsewhere says little
+        factor.renew(runs.objective.curvature, lane, runs.unknowns[lane].numpy())
     else:
         factor.damping = min(factor.damping * DAMPING_UP, DAMPING_MAX)
         factor.factorise()

@@ -44,8 +44,8 @@ if TYPE_CHECKING:
     from dieseltwin.surrogates.operators import ActuatorOperators
 
 METHOD = "few-shot-newton"
-BLOCK = 10
-"""Runs that are iterated together: the batched products of ten runs stay within the cache."""
+BLOCK = 30
+"""Runs that are iterated together, and take Hessians from the first of them."""
 LEAST_STATE = (5e4, 5e4, 200.0)
 """Noisy readings are not taken below this for the first trajectory [Pa, Pa, rad/s]: the inverse transform needs them
 positive, and the engine's limiters are there."""
@@ -243,7 +243,7 @@ def _log_std(collocation: Collocation, state: Runs) -> Tensor:
     factor = Factor(collocation, 0.0)
     rows = []
     for lane in range(len(state.unknowns)):
-        factor.renew(state.objective.curvature, lane)
+        factor.renew(state.objective.curvature, lane, state.unknowns[lane].numpy())
         rows.append(factor.log_std())
     return torch.from_numpy(np.stack(rows))
 
