@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,12 +13,12 @@ import numpy as np
 import pandas as pd
 
 from dieseltwin.api.engines import Engine, diesel_engine, rig_of
-from dieseltwin.api.identified_words import misfits, text_table
+from dieseltwin.api.identified_words import found_words, misfits, text_table, with_tolerances
 from dieseltwin.api.reading import Channels, Source, diesel_recording
 from dieseltwin.api.results import Result, drawn
 from dieseltwin.api.rigs import RigIdentified, identify_rig
 from dieseltwin.atomic import atomic_folder, write_json
-from dieseltwin.discovery.fit_test import tested
+from dieseltwin.discovery.fit_test import Tolerant, tested
 from dieseltwin.discovery.verdict.assemble import found_circumstance
 from dieseltwin.engine import MEASURED, EngineParameters
 from dieseltwin.errors import InputError
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 SEGMENT_RANGE_S = (10.0, 3600.0)
 MOST_RUNS = 10_000
 MOST_ROWS = 1_500_000  # 42 hours at 10 Hz; the bands of the states take a kilobyte a row
-MISFIT_CODES = ("misfit", "residuals")  # of `fit_notes`: they stand before the numbers
+MISFIT_CODES = ("misfit", "residuals")  # of the fit's test: they stand before the numbers
 # another method in the same folder must not leave its own behind
 OPTIONAL_RESULTS = ("curves.parquet", "report.html", "report.pdf", "figures")
 
@@ -91,34 +91,41 @@ class Identified(Result):
         problems: the segments.
         notes: what was left out, and what is doubtful; one sentence each.
         provenance: hashes of the settings and of the recording.
+        tolerant: health fitted beside tolerances of maps and sensors, which no interval of `found` contains; empty
+            where the fit wasn't tested.
     """
 
     found: Identification
     problems: tuple[SegmentProblem, ...]
     notes: tuple[str, ...]
     provenance: Mapping[str, str]
+    tolerant: Mapping[str, Tolerant] = field(default_factory=dict)
 
     @property
     def sentence(self) -> str:
-        pooled = self.found.pooled()
-        known = [f"{name} {p.mean:.4g} ± {p.std:.2g}" for name, p in pooled.items() if p.mean is not None]
-        unknown = [name for name, p in pooled.items() if p.mean is None]
-        words = [", ".join(known) or "no parameter can be told"]
-        words += [f"not identifiable here: {', '.join(unknown)}"] if unknown and known else []
+        words = found_words(self.document)
         doubt = "The twin doesn't fit this recording (see `dieseltwin discover`). " if self._misfits else ""
         if not doubt and any(note.code == "misfit" for note in self._left):
             doubt = "The fit leaves more than the noise, so that the intervals are too narrow. "
         return f"{doubt}{self.found.method}, {len(self.problems)} segments: {'; '.join(words)}."
 
+    @cached_property
+    def document(self) -> dict[str, Any]:
+        """Content of `identification.json` but for its warnings."""
+        return with_tolerances(self.found.to_json(), self.tolerant)
+
     def table(self) -> pd.DataFrame:
-        """One row a parameter: mean, std, low and high (90 % interval), bound, unit, segments behind it."""
-        document = self.found.to_json()
+        """One row a parameter: mean, std, low and high (90 % interval), bound, unit, segments behind it; mean and std
+        beside tolerances of maps and sensors, where the fit was tested."""
+        document = self.document
         rows = {}
         for name, entry in document["parameters"].items():
             low, high = entry["interval_90"] or (None, None)
             used = sum(bool(segment["parameters"][name]["identifiable"]) for segment in document["segments"])
+            beside = document["with_tolerances"].get(name, {})
             rows[name] = {"mean": entry["mean"], "std": entry["std"], "low": low, "high": high,
-                          "bound": entry["bound"], "unit": entry["unit"], "segments": used}
+                          "bound": entry["bound"], "unit": entry["unit"], "segments": used,
+                          "tolerant_mean": beside.get("mean"), "tolerant_std": beside.get("std")}
         return pd.DataFrame.from_dict(rows, orient="index").rename_axis("parameter")
 
     def plot(self, name: str | None = None) -> Figure:
@@ -128,16 +135,16 @@ class Identified(Result):
 
         drawings = {"parameters": violins.violins, "states": timeseries.states, "flows": timeseries.flows,
                     "empirical": timeseries.empirical}
-        return drawn(results_of(self.found, self.problems), drawings, name)
+        return drawn(results_of(self.found, self.problems, self.document), drawings, name)
 
     def save(self, out: str | Path) -> Path:
         """identification.json, runtime.json, states.parquet, report.html, figures/; curves.parquet if any."""
         with atomic_folder(out, owned=OPTIONAL_RESULTS) as folder:
             name = self.provenance.get("recording", "")
             states = self.found.states  # worked out once, before the figures want them in a process of their own
-            drawn_beside = begin_beside(_write_page, self.found, self.problems, folder, name)
+            drawn_beside = begin_beside(_write_page, self.found, self.problems, self.document, folder, name)
             write_json(folder / "identification.json",
-                       sealed_json({**self.found.to_json(), "warnings": self.warnings}))
+                       sealed_json({**self.document, "warnings": self.warnings}))
             runtime = {**self.found.runtime(), **self.provenance, "notes": list(self.notes)}
             write_json(folder / "runtime.json", sealed_json(runtime))
             states.to_parquet(folder / "states.parquet", index=False, write_page_checksum=True)
@@ -155,7 +162,7 @@ class Identified(Result):
     @cached_property
     def _left(self) -> list[Note]:
         """What the fits themselves show."""
-        return misfits(self.found.to_json())
+        return misfits(self.document)
 
     @property
     def _misfits(self) -> list[Note]:
@@ -164,7 +171,7 @@ class Identified(Result):
     def lines(self) -> list[str]:
         """That the twin doesn't fit, where it doesn't; the table as text, and the other notes."""
         first = self._misfits
-        table = text_table(self.found.to_json())
+        table = text_table(self.document)
         return [*first, *table, *(n for n in self.notes if n not in first), *self._left]
 
 
@@ -176,7 +183,9 @@ def _load_page() -> None:
     style.load()
 
 
-def _write_page(found: Identification, problems: Sequence[SegmentProblem], folder: Path, recording: str) -> None:
+def _write_page(
+    found: Identification, problems: Sequence[SegmentProblem], document: Mapping[str, Any], folder: Path, recording: str
+) -> None:
     """The page, and its figures as SVG (charts) and PNG (time series); the truth needn't be known.
 
     The paper's printed run times stay out: they belong to the comparison of methods.
@@ -186,7 +195,7 @@ def _write_page(found: Identification, problems: Sequence[SegmentProblem], folde
     from dieseltwin.report.inputs import results_of
     from dieseltwin.report.page import write_page
 
-    results = results_of(found, problems, about={"recording": recording} if recording else None)
+    results = results_of(found, problems, document, about={"recording": recording} if recording else None)
     page = identification_page(results, identification_sections(results, drawn_in_two))
     write_page(page, folder / "report.html", folder / "figures")
 
@@ -227,9 +236,10 @@ class IdentificationQuestion:
         """Test whether the twin fits the recording, under the circumstances that it shows; identify every segment."""
         config, problems = self.settings.identify, self.problems
         doubts: list[Note] = []
+        tolerant: Mapping[str, Tolerant] = {}
         if self.tested is not None:
             fit = tested(self.recording, *self.tested, minutes_max=self.settings.discover.minutes_max)
-            doubts = list(fit.notes)
+            doubts, tolerant = list(fit.notes), fit.health
             if fit.shown:
                 words = " and ".join(circumstance_words(found_circumstance(item)) for item in fit.shown)
                 doubts.append(Note(f"{words}; identified as such", "circumstances",
@@ -239,7 +249,7 @@ class IdentificationQuestion:
         found = identify_segments(problems, self.method, self.runs, self.seed, config=config, **self.networks)
         provenance = {"params_sha256": self.settings.sha256, "recording_sha256": self.recording.sha256,
                       **({"recording": self.recording_name} if self.recording_name else {})}  # fmt: skip
-        return Identified(found, problems, (*doubts, *self.notes), provenance)
+        return Identified(found, problems, (*doubts, *self.notes), provenance, tolerant)
 
 
 def identify(

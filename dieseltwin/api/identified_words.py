@@ -7,7 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from dieseltwin.discovery.fit_test import Tolerant
+from dieseltwin.engine import HEALTH_UNITS
 from dieseltwin.notes import Note
+from dieseltwin.report.statistics import Z_90
 
 MISFIT = 2.0  # chi-square a sample from which the noise or the model is clearly not what was assumed
 MOSTLY_STUCK = 0.5  # share of fits without convergence that is worth a warning: single starts are lost now and then
@@ -32,8 +35,39 @@ def misfits(document: Mapping[str, Any]) -> list[Note]:
             "file or the model is off, or the method has not converged; the intervals are too narrow", "misfit")]
 
 
+def with_tolerances(document: Mapping[str, Any], tolerant: Mapping[str, Tolerant]) -> dict[str, Any]:
+    """An identification's document with `with_tolerances`: mean, std, 90 % interval and unit of the health parameters
+    that the recording can tell. The intervals are symmetric in the logarithm, as those of the methods are."""
+    entries = {}
+    for name, told in tolerant.items():
+        if document["parameters"][name]["mean"] is not None:
+            wide = float(np.exp(Z_90 * told.std / told.value))
+            entries[name] = {"mean": told.value, "std": told.std, "unit": HEALTH_UNITS[name],
+                             "interval_90": [told.value / wide, told.value * wide]}  # fmt: skip
+    return {**document, "with_tolerances": entries}
+
+
+def found_words(document: Mapping[str, Any]) -> list[str]:
+    """The parameters in words: beside tolerances, where they were fitted so, as the method has them, and what can't be
+    told."""
+    pooled, beside = document["parameters"], document["with_tolerances"]
+    unknown = [name for name, entry in pooled.items() if entry["mean"] is None]
+    if len(unknown) == len(pooled):
+        return ["no parameter can be told"]
+    found = _listed({name: entry for name, entry in pooled.items() if name not in unknown})
+    words = [found]
+    if beside:
+        words = [f"beside tolerances of maps and sensors {_listed(beside)}", f"with exact ones {found}"]
+    return words + ([f"not identifiable here: {', '.join(unknown)}"] if unknown else [])
+
+
+def _listed(entries: Mapping[str, Mapping[str, Any]]) -> str:
+    return ", ".join(f"{name} {entry['mean']:.4g} ± {entry['std']:.2g}" for name, entry in entries.items())
+
+
 def text_table(document: Mapping[str, Any]) -> list[str]:
-    """The pooled estimates as lines of text: value, standard deviation, 90 % interval, bound, segments used."""
+    """The pooled estimates as lines of text: value, standard deviation, 90 % interval, bound, segments used; below them
+    value, standard deviation and interval beside tolerances, where `document` has them."""
     segments = document["segments"]
     head = f"{'parameter':<10} {'estimate':>12} {'std':>10} {'90 % interval':>27} {'bound':>10}  unit       segments"
     lines = [f"{document['method']}, {len(document['runs'])} runs, {len(segments)} segments", head]
@@ -47,4 +81,10 @@ def text_table(document: Mapping[str, Any]) -> list[str]:
         bound = "-" if entry["bound"] is None else f"{entry['bound']:.3g}"
         lines.append(f"{name:<10} {entry['mean']:>12.6g} {entry['std']:>10.3g} {interval:>27} {bound:>10}  "
                      f"{entry['unit']:<9}  {used} of {len(segments)}")
+    beside = document.get("with_tolerances", {})
+    if beside:
+        lines.append("the same beside tolerances of maps and sensors (the intervals above are noise alone)")
+    for name, entry in beside.items():
+        interval = "{:.5g} to {:.5g}".format(*entry["interval_90"])
+        lines.append(f"{name:<10} {entry['mean']:>12.6g} {entry['std']:>10.3g} {interval:>27} {'':>12}{entry['unit']}")
     return lines

@@ -1,9 +1,10 @@
 """Does the twin fit a recording at all? The detection step of discovery alone, in seconds: is anything beyond noise and
-tolerances, and what does it look like. No name is proved here, that is `discover`'s work."""
+tolerances, and what does it look like. No name is proved here, that is `discover`'s work. What the fit behind it says
+of health, with tolerances of maps and sensors in its intervals, comes along."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,7 +18,7 @@ from dieseltwin.discovery.search.preparation import prepare
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.diesel import EngineTwin
 from dieseltwin.discovery.twins.interface import Array
-from dieseltwin.engine import EngineParameters
+from dieseltwin.engine import HEALTH, EngineParameters
 from dieseltwin.errors import InputError
 from dieseltwin.notes import Note
 from dieseltwin.recordings.columns import Columns
@@ -75,8 +76,29 @@ class Excess:
     until_s: float
 
 
-def fit_notes(recording: Recording, engine: EngineParameters, sensors: Sequence[str]) -> list[Note]:
-    """Notes that say that, where and how the twin doesn't fit; none where it does.
+@dataclass(frozen=True)
+class Tolerant:
+    """A health parameter fitted beside tolerances of maps and sensors, and its standard deviation [its unit]."""
+
+    value: float
+    std: float
+
+
+@dataclass(frozen=True)
+class Examined:
+    """What the test says of a recording.
+
+    Attributes:
+        notes: that, where and how the twin doesn't fit; none where it does.
+        health: of the same fit; empty where nothing could be tested.
+    """
+
+    notes: tuple[Note, ...]
+    health: Mapping[str, Tolerant]
+
+
+def examine(recording: Recording, engine: EngineParameters, sensors: Sequence[str]) -> Examined:
+    """Test whether the twin fits, and fit health beside tolerances.
 
     Args:
         recording: what was recorded.
@@ -85,20 +107,22 @@ def fit_notes(recording: Recording, engine: EngineParameters, sensors: Sequence[
     """
     parts = [(part, there) for part in _parts(recording) if len(there := _reading(part, sensors)) >= FEWEST_SENSORS]
     if not parts:
-        return [Note(f"whether the twin fits isn't tested: that takes {SHORTEST_S:g} s of running engine and "
-                     f"{FEWEST_SENSORS} sensors", "untested")]
+        return _untested(f"that takes {SHORTEST_S:g} s of running engine and {FEWEST_SENSORS} sensors")
     bar = ALARM_GAIN + 2.0 * float(np.log(len(parts)))  # as many chances as parts
     suspected: list[Suspect] = []
     left: list[Excess] = []
+    health: list[Mapping[str, Tolerant]] = []
     for part, there in parts:
         try:
-            found, faults = _examined(part, engine, there)
+            found, faults = _searched(part, engine, there)
         except InputError as error:  # terms of the engine that the effects of the catalogue can't stand beside
-            return [Note(f"whether the twin fits isn't tested: {error}", "untested")]
+            return _untested(str(error))
         except np.linalg.LinAlgError:
-            return [Note("the twin can't follow this recording at all: see `dieseltwin discover`", "misfit")]
+            note = Note("the twin can't follow this recording at all: see `dieseltwin discover`", "misfit")
+            return Examined((note,), {})
         suspected += _beyond(found, faults, bar)
         left += _excess(found)
+        health.append(_health(found))
     notes = []
     if suspected:
         first = max(suspected, key=lambda item: item.gain)
@@ -111,7 +135,29 @@ def fit_notes(recording: Recording, engine: EngineParameters, sensors: Sequence[
         notes.append(Note(f"{', '.join(names)}: the fit leaves more than noise, {worst.times:.2g} times it in "
                           f"{worst.channel} from {worst.since_s:.5g} to {worst.until_s:.5g} s; its parameters may be "
                           "wrong, see `dieseltwin discover`", "residuals", names))  # fmt: skip
-    return notes
+    return Examined(tuple(notes), _together(health))
+
+
+def _untested(why: str) -> Examined:
+    return Examined((Note(f"whether the twin fits isn't tested: {why}", "untested"),), {})
+
+
+def _health(found: Search) -> dict[str, Tolerant]:
+    """Health of the fit of one part, tolerances in its standard deviations."""
+    fit = found.null.fit
+    places = [[parameter.name for parameter in found.twin.parameters].index(name) for name in HEALTH]
+    return {name: Tolerant(float(fit.parameters[j]), float(fit.std[j])) for name, j in zip(HEALTH, places, strict=True)}
+
+
+def _together(parts: Sequence[Mapping[str, Tolerant]]) -> dict[str, Tolerant]:
+    """Mean of the parts, weighted by their certainty. Its standard deviation is that of the best part: all have the
+    same maps and sensors, whose errors more driving doesn't average away."""
+    together = {}
+    for name in HEALTH:
+        std = np.array([part[name].std for part in parts])
+        value = np.average([part[name].value for part in parts], weights=1.0 / std**2)
+        together[name] = Tolerant(float(value), float(std.min()))
+    return together
 
 
 @dataclass(frozen=True)
@@ -123,12 +169,14 @@ class Tested:
             circumstances and the twin doesn't fit without them.
         shown: these circumstances, none where nothing was put right.
         notes: what doesn't fit even so.
+        health: as the fit behind the test has it, beside tolerances; empty where nothing could be tested.
     """
 
     recording: Recording
     engine: EngineParameters
     shown: tuple[Estimate, ...]
     notes: tuple[Note, ...]
+    health: Mapping[str, Tolerant]
 
 
 def tested(
@@ -137,16 +185,17 @@ def tested(
     """Test whether the twin fits; where it doesn't, under the circumstances that the recording shows.
 
     Args:
-        recording, engine, sensors: as of `fit_notes`.
+        recording, engine, sensors: as of `examine`.
         minutes_max: of a longer recording the liveliest stretches show circumstances; None: all of it.
     """
-    notes = tuple(fit_notes(recording, engine, sensors))
-    if any(note.code in ("misfit", "residuals") for note in notes):
+    first = examine(recording, engine, sensors)
+    if any(note.code in ("misfit", "residuals") for note in first.notes):
         there = tuple(name for name in sensors if name in recording.columns)
         right, under, shown = as_it_was(recording, engine, Options(sensors=there), minutes_max)
         if shown:
-            return Tested(right, under, shown, tuple(fit_notes(right, under, sensors)))
-    return Tested(recording, engine, (), notes)
+            again = examine(right, under, sensors)
+            return Tested(right, under, shown, again.notes, again.health)
+    return Tested(recording, engine, (), first.notes, first.health)
 
 
 def _parts(recording: Recording) -> Iterator[Recording]:
@@ -170,7 +219,7 @@ def _reading(part: Recording, sensors: Sequence[str]) -> list[str]:
     return [name for name in sensors if name in part.columns and np.isfinite(part.columns[name]).any()]
 
 
-def _examined(part: Recording, engine: EngineParameters, sensors: Sequence[str]) -> tuple[Search, list[Suspicion]]:
+def _searched(part: Recording, engine: EngineParameters, sensors: Sequence[str]) -> tuple[Search, list[Suspicion]]:
     columns = {**part.columns, **{name: _with_noise(part.columns[name], name) for name in sensors}}
     twin = EngineTwin(replace(part, columns=Columns(columns)), engine, sensors)
     found = prepare(twin, Options().settings())

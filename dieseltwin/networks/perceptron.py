@@ -136,6 +136,29 @@ class MLP(nn.Module):
                 x = act(x)
         return x
 
+    def along(self, x: Tensor, direction: Tensor) -> tuple[Tensor, Tensor]:
+        """Values (..., n, out) without dropout and their derivative along a direction of the input, both detached.
+
+        Layer by layer, as forward-mode differentiation has it: torch's own loads its compiler first, which takes two
+        seconds.
+
+        Args:
+            x, direction: (..., n, in).
+        """
+        act = ACTIVATIONS[self.activation]
+        last = len(self.weights) - 1
+        value, change = x.detach(), direction.detach()
+        with torch.enable_grad():
+            for layer, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+                value = (torch.matmul(value, weight) + bias).detach()
+                change = torch.matmul(change, weight).detach()
+                if layer < last or self.activate_last:
+                    inner = value.requires_grad_()
+                    outer = act(inner)
+                    (slope,) = torch.autograd.grad(outer.sum(), inner)
+                    value, change = outer.detach(), slope * change
+        return value, change
+
     def hidden_output(self, x: Tensor) -> Tensor:
         """Input of the last layer, (..., n, hidden[-1]), without dropout."""
         act = ACTIVATIONS[self.activation]

@@ -79,6 +79,11 @@ SUMMARY = line("""
     Each method's value pools the segments where the parameter is identifiable, weighted by their certainty. {ratio}
     Seconds per run: wall time of one start on one segment.
 """)
+BESIDE_TOLERANCES = line("""
+    The intervals above are statements about noise: no map and no sensor is exact, and their errors move all estimates
+    together. Here all are fitted beside what is believed of these errors. Compare these with a limit, a data sheet or
+    another engine, and those above with the same engine, driven and measured the same way.
+""")
 SUMMARY_KNOWN = line("""
     “Error over bound”: root mean square over the identifiable segments and their runs of (estimate − truth) divided by
     the segment's Cramér–Rao bound; an efficient method scores about 1.

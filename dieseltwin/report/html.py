@@ -15,6 +15,7 @@ from dieseltwin.report.encoding import Drawn, drawn_here
 from dieseltwin.report.interactive import results_series, still
 from dieseltwin.report.page import EMPTY, Page, Section, Table, kept, marked, swatched
 from dieseltwin.report.results import PARAMETERS, MethodResult, Results
+from dieseltwin.report.statistics import relative_error
 from dieseltwin.report.tables import headline, segment_table, summary_table
 
 SOURCE = (
@@ -65,8 +66,8 @@ def identification_page(results: Results, sections: Sequence[Section]) -> Page:
     return Page(
         title=str(results.about.get("title") or "Engine health from a recording"), about=_about_line(results),
         headline=Markup(headline(results)), alarm=False, note=Markup("").join([Markup.escape(reading), *given]),
-        tables=(_summary(results),), sections=sections, provenance=_provenance(results), machine=_machine(results),
-        source=SOURCE,
+        tables=(_summary(results), *_beside_tolerances(results)), sections=sections,
+        provenance=_provenance(results), machine=_machine(results), source=SOURCE,
     )  # fmt: skip
 
 
@@ -105,6 +106,27 @@ def _summary(results: Results) -> Table:
             rows.append(line)
             first = ""
     return Table(heads, rows, words=(0, 1), grouped=True)
+
+
+def _beside_tolerances(results: Results) -> list[Table]:
+    """Health parameters of the fit beside tolerances, where one was made; it is the same whatever the method."""
+    told = next((method.with_tolerances for method in results.methods if method.with_tolerances), {})
+    if not told:
+        return []
+    known = results.truth is not None
+    rows: list[list[str | Markup]] = []
+    for name, estimate in told.items():
+        scale, unit = quantities.factor(name), quantities.unit(name)
+        digits = quantities.decimals_for(estimate.std * scale)
+        low, high = estimate.interval_90
+        line = [Markup(quantities.html_symbol(name)) + f" [{unit}]" * bool(unit),
+                quantities.value_with_std(name, estimate.mean, estimate.std, with_unit=False),
+                f"{low * scale:.{digits}f} – {high * scale:.{digits}f}"]  # fmt: skip
+        if known:
+            line.append(quantities.percent(relative_error(estimate.mean, results.true_value(name)), signed=True))
+        rows.append(line)
+    heads = ["parameter", "estimate ± std", "90 % interval", *["error"] * known]
+    return [Table(heads, rows, title="Beside tolerances of maps and sensors", about=captions.BESIDE_TOLERANCES)]
 
 
 def _stopped(method: MethodResult) -> Markup:

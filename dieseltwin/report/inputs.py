@@ -51,11 +51,21 @@ def nominal_values(problems: Sequence[SegmentProblem]) -> dict[str, float]:
 
 
 def results_of(
-    identification: Identification, problems: Sequence[SegmentProblem], *, about: Mapping[str, Any] | None = None
+    identification: Identification,
+    problems: Sequence[SegmentProblem],
+    document: Mapping[str, Any] | None = None,
+    *,
+    about: Mapping[str, Any] | None = None,
 ) -> Results:
-    """The report's structure from one identification in memory, with the same content as from its files."""
+    """The report's structure from one identification in memory, with the same content as from its files.
+
+    Args:
+        identification, problems: what was found, and where.
+        document: what stands in `identification.json`, where that is more than the identification itself says.
+        about: of the recording.
+    """
     method = method_from_document(
-        identification.to_json(),
+        identification.to_json() if document is None else document,
         runtime=identification.runtime(),
         states=identification.states,
         curves=curves_table(identification),

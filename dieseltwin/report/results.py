@@ -60,6 +60,7 @@ class MethodResult:
     """Everything that one method delivered for one recording.
 
     ``runs`` is a long table (segment, run, parameter, value [SI], converged); ``states`` and ``curves`` may be absent.
+    ``with_tolerances`` are health parameters of a fit beside tolerances of maps and sensors, where there was one.
     """
 
     method: str
@@ -70,6 +71,7 @@ class MethodResult:
     states: pd.DataFrame | None = None
     curves: pd.DataFrame | None = None
     settings: Mapping[str, Any] = field(default_factory=dict)
+    with_tolerances: Mapping[str, Estimate] = field(default_factory=dict)
 
     @property
     def number_of_runs(self) -> int:
@@ -196,7 +198,7 @@ def method_from_document(
         )
         for entry in document["segments"]
     )
-    known = {"schema", "method", "parameters", "segments", "runs"}
+    known = {"schema", "method", "parameters", "segments", "runs", "with_tolerances"}
     return MethodResult(
         method=str(document["method"]),
         pooled={p: _estimate(document["parameters"].get(p) or {}) for p in PARAMETERS},
@@ -206,6 +208,7 @@ def method_from_document(
         states=states,
         curves=curves,
         settings={key: value for key, value in document.items() if key not in known},
+        with_tolerances={p: _estimate(entry) for p, entry in document.get("with_tolerances", {}).items()},
     )
 
 

@@ -6,7 +6,7 @@ Tables hold raw SI numbers; formatting happens last, so that a test can compare 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import pandas as pd
 
@@ -192,25 +192,33 @@ def _change_words(change: float, relative_std: float) -> str:
     return f" ({quantities.significant(100 * abs(change), 2)} % {'above' if change > 0 else 'below'} nominal)"
 
 
-def headline(results: Results) -> str:
-    """One paragraph (HTML) in words: what was found, how sure, where nothing can be said, how, and how long it took."""
-    method = headline_method(results)
+def _values(results: Results, estimates: Mapping[str, Estimate]) -> list[str]:
+    """Each estimate in words (HTML), beside its nominal value; those without a number are left out."""
     values = []
-    for parameter in PARAMETERS:
-        estimate = method.pooled[parameter]
+    for parameter, estimate in estimates.items():
         if not estimate.finite:
             continue
         change = relative_error(estimate.mean, results.nominal.get(parameter, math.nan))
-        words = ""
-        if math.isfinite(change):
-            words = _change_words(change, estimate.std / estimate.mean)
+        words = _change_words(change, estimate.std / estimate.mean) if math.isfinite(change) else ""
         text = quantities.value_with_std(parameter, estimate.mean, estimate.std)
         values.append(f"{quantities.html_symbol(parameter)} = <b>{text}</b>{words}")
+    return values
+
+
+def headline(results: Results) -> str:
+    """One paragraph (HTML) in words: what was found, how sure, where nothing can be said, how, and how long it took."""
+    method = headline_method(results)
+    values, beside = _values(results, method.pooled), _values(results, method.with_tolerances)
     label = style.method_style(method.method).label
     count = len(method.segments)
     source = f"{_duration(method.segments)} of driving ({count} segment{'s' if count != 1 else ''})"
     sentences = []
-    if values:
+    if beside:
+        sentences.append(
+            f"From {source}, beside what maps and sensors may be off by: {listing(beside)}. "
+            f"With exact ones <b>{label}</b> finds {listing(values)}."
+        )
+    elif values:
         sentences.append(f"From {source}, <b>{label}</b> finds {listing(values)}.")
     else:
         sentences.append(f"From {source}, <b>{label}</b> could not identify any health parameter.")

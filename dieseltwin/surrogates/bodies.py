@@ -78,7 +78,7 @@ class Body:
         return int(self.mix.shape[1])
 
     def basis(self, time01: ArrayLike, duration_s: float = WINDOW_S) -> tuple[Floats, Floats]:
-        """Basis h (n, k) [-] and its rate dh/dt (n, k) [1/s] (exact, by forward-mode differentiation).
+        """Basis h (n, k) [-] and its rate dh/dt (n, k) [1/s] (exact).
 
         Args:
             time01: (n,) times over the segment, 0 at its start and 1 at its end.

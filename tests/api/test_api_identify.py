@@ -31,12 +31,16 @@ def test_function_and_command_find_and_write_the_same(
     mean, std, low, high = table.loc["A_egrmax", ["mean", "std", "low", "high"]]
     assert low < mean < high and abs(mean - 3e-4) < 4.0 * std and mean < 3.2e-4
     assert (table["segments"] == 2).any()
-    assert found.sentence.startswith("classical, 2 segments: A_egrmax 0.00029")
+    assert found.sentence.startswith("classical, 2 segments: beside tolerances of maps and sensors A_egrmax 0.00029")
+    assert "; with exact ones A_egrmax 0.00029" in found.sentence
     assert "not identifiable" not in str(found) and "<table" in found._repr_html_()
     assert found.plot("states").axes
     # the figures are drawn by the command's own tests
     monkeypatch.setattr("dieseltwin.report.html.identification_sections", lambda *_: [])
     found.save(tmp_path / "function")
+    page = (tmp_path / "function" / "report.html").read_text(encoding="utf-8")
+    assert "Beside tolerances of maps and sensors" in page
+    assert found.lines()[-4].split()[:2] == ["A_egrmax", f"{found.document['with_tolerances']['A_egrmax']['mean']:.6g}"]
     command = ["identify", str(worn), "--runs", "2", "--seed", "3", "--segment", "60"]
     assert main([*command, "--out", str(tmp_path / "command")]) == 0
     for name in ("identification.json", "states.parquet"):

@@ -85,6 +85,17 @@ def test_a_change_within_its_uncertainty_is_no_finding() -> None:
     assert "(as nominal, within its uncertainty)" in words
 
 
+def test_headline_begins_with_health_beside_tolerances_where_it_was_fitted() -> None:
+    document = synthetic.document("classical")
+    entry = document["parameters"]["eta_sc"]
+    document["with_tolerances"] = {"eta_sc": {**entry, "std": 5.0 * entry["std"]}}
+    words = headline(Results(methods=(method_from_document(document),), nominal=synthetic.NOMINAL))
+    beside, alone = words.split("With exact ones")
+    text = quantities.value_with_std("eta_sc", entry["mean"], 5.0 * entry["std"])
+    assert text in beside and "maps and sensors may be off by" in beside and "h_tot" not in beside
+    assert "<b>classical</b> finds" in alone
+
+
 def test_disagreeing_method_is_named() -> None:
     one, other = synthetic.document("classical"), synthetic.document("few-shot-newton")
     other["parameters"]["eta_sc"]["mean"] *= 1.2

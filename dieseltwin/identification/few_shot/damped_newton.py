@@ -2,8 +2,8 @@
 
 Cost and gradient are exact at every point. The Hessian, a hundred times as dear, is assembled and factorised again only
 where the kept one no longer serves: where a step was refused, or shrank the decrement too little. Runs of one recording
-come together long before they rest, so a run takes the first one's where both stand near each other. That is seen at the
-point itself, while `dieseltwin.least_squares` must choose before it evaluates a point: it gets gradient and Hessian
+come together long before they rest, so a run takes the first one's where both stand near each other. That is seen at
+the point itself, while `dieseltwin.least_squares` must choose before it evaluates a point: it gets gradient and Hessian
 from one integration, and solves a batch of small systems where this keeps a factor of some hundred unknowns a run.
 """
 
