@@ -44,8 +44,10 @@ if TYPE_CHECKING:
     from dieseltwin.surrogates.operators import ActuatorOperators
 
 METHOD = "few-shot-newton"
-BLOCK = 30
-"""Runs that are iterated together, and take Hessians from the first of them."""
+BLOCK = 10
+"""Runs that are iterated together: the batched products of ten runs stay within the cache."""
+BLOCK_ALIKE = 30
+"""The same of runs of the same readings, which take their Hessians from the first of them."""
 LEAST_STATE = (5e4, 5e4, 200.0)
 """Noisy readings are not taken below this for the first trajectory [Pa, Pa, rad/s]: the inverse transform needs them
 positive, and the engine's limiters are there."""
@@ -257,16 +259,18 @@ def _segment(
     readings = torch.tensor(problem.readings(len(begin)))
     begin_t = torch.from_numpy(begin)
     parts: list[tuple[Solution, Tensor]] = []
-    for first in range(0, len(begin), BLOCK):
-        members = list(range(first, min(first + BLOCK, len(begin))))
+    alike = bool(torch.equal(torch.nan_to_num(readings), torch.nan_to_num(readings[:1]).expand_as(readings)))
+    block = BLOCK_ALIKE if alike else BLOCK
+    for first in range(0, len(begin), block):
+        members = list(range(first, min(first + block, len(begin))))
         parts.append(_solved(setting, maps, readings[members], begin_t[members], members, settings))
     doubtful = _doubtful(problem, [s for s, _ in parts])
-    for first in range(0, len(doubtful), BLOCK):
-        members = doubtful[first : first + BLOCK]
+    for first in range(0, len(doubtful), block):
+        members = doubtful[first : first + block]
         centre = torch.from_numpy(np.log(health_of(problem.parameters))).expand(len(members), -1)
         again = _solved(setting, maps, readings[members], centre, members, settings.patient())
         for i, member in enumerate(members):
-            _replace_if_better(parts[member // BLOCK], member % BLOCK, again, i)
+            _replace_if_better(parts[member // block], member % block, again, i)
     unknowns = torch.cat([s.runs.unknowns for s, _ in parts])
     log_std = torch.cat([s.log_std for s, _ in parts]).numpy()
     converged = torch.cat([s.converged for s, _ in parts]).numpy()
