@@ -37,10 +37,12 @@ def misfits(document: Mapping[str, Any]) -> list[Note]:
 
 def with_tolerances(document: Mapping[str, Any], tolerant: Mapping[str, Tolerant]) -> dict[str, Any]:
     """An identification's document with `with_tolerances`: mean, std, 90 % interval and unit of the health parameters
-    that the recording can tell. The intervals are symmetric in the logarithm, as those of the methods are."""
+    that the recording can tell, by the method and by this fit. The intervals are symmetric in the logarithm, as those
+    of the methods are."""
     entries = {}
     for name, told in tolerant.items():
-        if document["parameters"][name]["mean"] is not None:
+        # a value within its deviation of zero says nothing, and has no interval in the logarithm
+        if document["parameters"][name]["mean"] is not None and 0.0 < told.std < told.value:
             wide = float(np.exp(Z_90 * told.std / told.value))
             entries[name] = {"mean": told.value, "std": told.std, "unit": HEALTH_UNITS[name],
                              "interval_90": [told.value / wide, told.value * wide]}  # fmt: skip

@@ -8,7 +8,9 @@ import pandas as pd
 import pytest
 
 import dieseltwin as dt
+from dieseltwin.api.identified_words import with_tolerances
 from dieseltwin.cli.app import main
+from dieseltwin.discovery.fit_test import Tolerant
 from dieseltwin.engine import we2011
 from dieseltwin.errors import InputError
 from dieseltwin.notes import Note
@@ -68,3 +70,12 @@ def test_what_can_not_be_identified_is_one_line(worn: Path) -> None:
         dt.identify(table, method="clasical")
     with pytest.raises(InputError, match="no such folder"):
         dt.identify(table, method="few-shot-newton", setup=dt.Setup(models="nowhere"))
+
+
+@pytest.mark.parametrize("told", [Tolerant(4e-4, 5e-4), Tolerant(float("nan"), 1e-6), Tolerant(4e-4, float("inf"))])
+def test_what_the_fit_beside_tolerances_does_not_know_is_left_out(told: Tolerant) -> None:
+    by_method = {"A_egrmax": {"mean": 4e-4, "std": 1e-6}, "h_tot": {"mean": 96.0, "std": 1.0}}
+    document = with_tolerances({"parameters": by_method}, {"A_egrmax": told, "h_tot": Tolerant(96.0, 2.0)})
+    assert set(document["with_tolerances"]) == {"h_tot"}
+    low, high = document["with_tolerances"]["h_tot"]["interval_90"]
+    assert low < 96.0 < high and high - low == pytest.approx(2 * 1.645 * 2.0, rel=0.01)
