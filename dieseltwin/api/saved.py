@@ -165,8 +165,8 @@ def _identified(folder: Path) -> Saved:
     path = folder / IDENTIFICATION
     try:
         document = opened_json(json.loads(path.read_text(encoding="utf-8")), str(path), "identify again")
-        told = {**document["parameters"], **document.get("with_tolerances", {})}
-        levels = tuple(_level(name, entry["mean"], entry["std"], None) for name, entry in told.items())
+        levels = tuple(_level(name, entry["mean"], entry["std"], None)
+                       for name, entry in document["parameters"].items())
         about = f"method {document['method']}; segments: {len(document['segments'])}, runs: {len(document['runs'])}"
         said = [(str(warning.get("code")), str(warning["text"])) for warning in document.get("warnings", ())]
     except (OSError, ValueError, KeyError, TypeError) as error:

@@ -12,6 +12,7 @@ from scipy.special import chdtri  # of scipy.stats, whose import takes half a se
 
 from dieseltwin.discovery.discover import as_it_was
 from dieseltwin.discovery.likelihood.circumstances import Estimate
+from dieseltwin.discovery.likelihood.fit import within_limits
 from dieseltwin.discovery.options import Options
 from dieseltwin.discovery.recording_faults import Suspicion, recording_faults, suspicions
 from dieseltwin.discovery.search.preparation import prepare
@@ -47,6 +48,7 @@ CHI2_SLACK = 0.25  # noise is known to some per cent alone
 CHI2_SIGMA = 6.0  # standard deviations of a chi-square beyond that
 SLOW_ROWS = 10  # readings whose mean tells slow structure from white noise
 SLOW_SLACK = 0.3
+AT_LIMIT = 1e-3  # of a health parameter, its distance from the limit of the search below which it stands there
 WINDOW_LEVEL = 1e-9  # probability of a window's chi-square by chance
 WINDOW_LEAST = 4.0  # chi-square a reading of a window that counts: next to an instability 3.6 was met without a fault
 
@@ -90,7 +92,8 @@ class Examined:
 
     Attributes:
         notes: that, where and how the twin doesn't fit; none where it does.
-        health: of the same fit; empty where nothing could be tested.
+        health: of the same fit; empty where nothing could be tested, where the twin doesn't fit, and where it is too
+            far from the engine file for the search.
     """
 
     notes: tuple[Note, ...]
@@ -135,7 +138,8 @@ def examine(recording: Recording, engine: EngineParameters, sensors: Sequence[st
         notes.append(Note(f"{', '.join(names)}: the fit leaves more than noise, {worst.times:.2g} times it in "
                           f"{worst.channel} from {worst.since_s:.5g} to {worst.until_s:.5g} s; its parameters may be "
                           "wrong, see `dieseltwin discover`", "residuals", names))  # fmt: skip
-    return Examined(tuple(notes), _together(health))
+    # beside a misfit health is bent to imitate what is missing, and its interval would promise what it can't hold
+    return Examined(tuple(notes), {} if notes else _together(health))
 
 
 def _untested(why: str) -> Examined:
@@ -143,20 +147,26 @@ def _untested(why: str) -> Examined:
 
 
 def _health(found: Search) -> dict[str, Tolerant]:
-    """Health of the fit of one part, tolerances in its standard deviations."""
+    """Health of the fit of one part, tolerances in its standard deviations; none where a parameter ended at the limit
+    of what the search allows, so far from the engine file's that the fit isn't where the readings would have it."""
     fit = found.null.fit
+    around = (fit.parameters * (1.0 + AT_LIMIT), fit.parameters * (1.0 - AT_LIMIT))
+    if not all(np.array_equal(each, within_limits(found.twin, each, (), np.zeros(0))[0]) for each in around):
+        return {}
     places = [[parameter.name for parameter in found.twin.parameters].index(name) for name in HEALTH]
     return {name: Tolerant(float(fit.parameters[j]), float(fit.std[j])) for name, j in zip(HEALTH, places, strict=True)}
 
 
 def _together(parts: Sequence[Mapping[str, Tolerant]]) -> dict[str, Tolerant]:
-    """Mean of the parts, weighted by their certainty. Its standard deviation is that of the best part: all have the
-    same maps and sensors, whose errors more driving doesn't average away."""
+    """Mean of the parts, weighted by their certainty, with the mean of their standard deviations: all have the same
+    maps and sensors, whose errors more driving doesn't average away. None where a part says nothing."""
+    if not all(parts):
+        return {}
     together = {}
     for name in HEALTH:
         std = np.array([part[name].std for part in parts])
-        value = np.average([part[name].value for part in parts], weights=1.0 / std**2)
-        together[name] = Tolerant(float(value), float(std.min()))
+        value, wide = np.average([[part[name].value for part in parts], std], axis=1, weights=1.0 / std**2)
+        together[name] = Tolerant(float(value), float(wide))
     return together
 
 

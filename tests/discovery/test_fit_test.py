@@ -109,3 +109,11 @@ def test_more_driving_averages_no_tolerance_away(clean: pd.DataFrame, monkeypatc
         assert abs(both[name].value - alone[name].value) < both[name].std
     # two parts of equal certainty: independent ones would give 0.71 of it
     assert both["A_vgtmax"].std > 0.9 * alone["A_vgtmax"].std
+
+
+def test_no_health_beside_tolerances_where_it_could_not_hold(clean: pd.DataFrame, project_root: Path) -> None:
+    faulty = examine(recording(clean.assign(p_em_pa=1.08 * clean["p_em_pa"])), we2011.PARAMETERS, MEASURED[:5])
+    assert faulty.notes and not faulty.health
+    # 2.5 times the engine file's h_tot, beyond what the search allows: the fit would stop at its limit
+    far = we2011.PARAMETERS.replace(h_tot=we2011.FIELD.h_tot / 2.5)
+    assert not examine(recording(clean), far, MEASURED[:5]).health

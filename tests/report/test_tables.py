@@ -92,7 +92,7 @@ def test_headline_begins_with_health_beside_tolerances_where_it_was_fitted() -> 
     words = headline(Results(methods=(method_from_document(document),), nominal=synthetic.NOMINAL))
     beside, alone = words.split("With exact ones")
     text = quantities.value_with_std("eta_sc", entry["mean"], 5.0 * entry["std"])
-    assert text in beside and "maps and sensors may be off by" in beside and "h_tot" not in beside
+    assert text in beside and "maps and sensors may be off by" in beside and "<i>h</i>" not in beside
     assert "<b>classical</b> finds" in alone
 
 
