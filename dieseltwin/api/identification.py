@@ -92,7 +92,7 @@ class Identified(Result):
         notes: what was left out, and what is doubtful; one sentence each.
         provenance: hashes of the settings and of the recording.
         tolerant: health fitted beside tolerances of maps and sensors, which no interval of `found` contains; empty
-            where the fit wasn't tested.
+            where that fit wasn't made or doesn't hold (see `fit_test.Examined`).
     """
 
     found: Identification

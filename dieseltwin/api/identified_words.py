@@ -9,8 +9,8 @@ import numpy as np
 
 from dieseltwin.discovery.fit_test import Tolerant
 from dieseltwin.engine import HEALTH_UNITS
+from dieseltwin.identification.result import intervals_from_log_std
 from dieseltwin.notes import Note
-from dieseltwin.report.statistics import Z_90
 
 MISFIT = 2.0  # chi-square a sample from which the noise or the model is clearly not what was assumed
 MOSTLY_STUCK = 0.5  # share of fits without convergence that is worth a warning: single starts are lost now and then
@@ -43,9 +43,9 @@ def with_tolerances(document: Mapping[str, Any], tolerant: Mapping[str, Tolerant
     for name, told in tolerant.items():
         # a value within its deviation of zero says nothing, and has no interval in the logarithm
         if document["parameters"][name]["mean"] is not None and 0.0 < told.std < told.value:
-            wide = float(np.exp(Z_90 * told.std / told.value))
+            _, interval = intervals_from_log_std(np.array(told.value), np.array(told.std / told.value))
             entries[name] = {"mean": told.value, "std": told.std, "unit": HEALTH_UNITS[name],
-                             "interval_90": [told.value / wide, told.value * wide]}  # fmt: skip
+                             "interval_90": interval.tolist()}  # fmt: skip
     return {**document, "with_tolerances": entries}
 
 

@@ -19,6 +19,7 @@ from dieseltwin.discovery.search.preparation import prepare
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.diesel import EngineTwin
 from dieseltwin.discovery.twins.interface import Array
+from dieseltwin.discovery.verdict.over_recordings import health_places
 from dieseltwin.engine import HEALTH, EngineParameters
 from dieseltwin.errors import InputError
 from dieseltwin.notes import Note
@@ -153,8 +154,8 @@ def _health(found: Search) -> dict[str, Tolerant]:
     around = (fit.parameters * (1.0 + AT_LIMIT), fit.parameters * (1.0 - AT_LIMIT))
     if not all(np.array_equal(each, within_limits(found.twin, each, (), np.zeros(0))[0]) for each in around):
         return {}
-    places = [[parameter.name for parameter in found.twin.parameters].index(name) for name in HEALTH]
-    return {name: Tolerant(float(fit.parameters[j]), float(fit.std[j])) for name, j in zip(HEALTH, places, strict=True)}
+    places = zip(HEALTH, health_places(found.twin), strict=True)
+    return {name: Tolerant(float(fit.parameters[j]), float(fit.std[j])) for name, j in places}
 
 
 def _together(parts: Sequence[Mapping[str, Tolerant]]) -> dict[str, Tolerant]:
@@ -179,7 +180,7 @@ class Tested:
             circumstances and the twin doesn't fit without them.
         shown: these circumstances, none where nothing was put right.
         notes: what doesn't fit even so.
-        health: as the fit behind the test has it, beside tolerances; empty where nothing could be tested.
+        health: beside tolerances, as of `Examined`.
     """
 
     recording: Recording

@@ -87,15 +87,13 @@ def _summary(results: Results) -> Table:
     for method in results.methods:
         first: str | Markup = _label(method) + _stopped(method)
         for row in table[table["method"] == method.method].itertuples():
-            scale, unit = quantities.factor(row.parameter), quantities.unit(row.parameter)
+            scale = quantities.factor(row.parameter)
             digits = quantities.decimals_for(row.std * scale)
             truth = results.true_value(row.parameter)
-            estimate: str | Markup = quantities.value_with_std(row.parameter, row.mean, row.std, with_unit=False)
-            interval = f"{row.low * scale:.{digits}f} – {row.high * scale:.{digits}f}"
+            name, estimate, interval = _told(row.parameter, row.mean, row.std, row.low, row.high)
             if not row.identifiable:
                 estimate, interval = marked("not identifiable here", "none"), EMPTY
-            line = [first, Markup(quantities.html_symbol(row.parameter)) + f" [{unit}]" * bool(unit), estimate,
-                    interval if math.isfinite(row.low + row.high) else EMPTY]  # fmt: skip
+            line = [first, name, estimate, interval]
             if known:
                 line += [f"{truth * scale:.{digits}f}" if math.isfinite(truth) else EMPTY,
                          quantities.percent(row.error, signed=True)]  # fmt: skip
@@ -108,6 +106,15 @@ def _summary(results: Results) -> Table:
     return Table(heads, rows, words=(0, 1), grouped=True)
 
 
+def _told(parameter: str, mean: float, std: float, low: float, high: float) -> list[str | Markup]:
+    """Cells of a parameter with its unit, its estimate and its interval."""
+    scale, unit = quantities.factor(parameter), quantities.unit(parameter)
+    digits = quantities.decimals_for(std * scale)
+    return [Markup(quantities.html_symbol(parameter)) + f" [{unit}]" * bool(unit),
+            quantities.value_with_std(parameter, mean, std, with_unit=False),
+            f"{low * scale:.{digits}f} – {high * scale:.{digits}f}" if math.isfinite(low + high) else EMPTY]
+
+
 def _beside_tolerances(results: Results) -> list[Table]:
     """Health parameters of the fit beside tolerances, where one was made; it is the same whatever the method."""
     told = next((method.with_tolerances for method in results.methods if method.with_tolerances), {})
@@ -116,12 +123,7 @@ def _beside_tolerances(results: Results) -> list[Table]:
     known = results.truth is not None
     rows: list[list[str | Markup]] = []
     for name, estimate in told.items():
-        scale, unit = quantities.factor(name), quantities.unit(name)
-        digits = quantities.decimals_for(estimate.std * scale)
-        low, high = estimate.interval_90
-        line = [Markup(quantities.html_symbol(name)) + f" [{unit}]" * bool(unit),
-                quantities.value_with_std(name, estimate.mean, estimate.std, with_unit=False),
-                f"{low * scale:.{digits}f} – {high * scale:.{digits}f}"]  # fmt: skip
+        line = _told(name, estimate.mean, estimate.std, *estimate.interval_90)
         if known:
             line.append(quantities.percent(relative_error(estimate.mean, results.true_value(name)), signed=True))
         rows.append(line)
