@@ -22,7 +22,7 @@ from dieseltwin.engine.map_corrections import ARGUMENTS, CORRECTED_POINTS, basis
 from dieseltwin.errors import InputError
 from dieseltwin.learning.belief import Further, prior_belief
 from dieseltwin.learning.domain import KNOWN_SHARE, functions_on_maps, uncertainty_along
-from dieseltwin.learning.files import LearnedEngine, learned_engine_of, overlap, save_learned
+from dieseltwin.learning.files import LearnedEngine, learned_engine_of, overlap, save_learned, seal_of
 from dieseltwin.learning.levels import health_covariance
 from dieseltwin.learning.siblings import belief_from_siblings
 from dieseltwin.notes import Note, counted, of_reading
@@ -50,11 +50,13 @@ class LearnedResult(Result):
         known: the engine with mean and covariance of its health, maps and sensors.
         found: how the fit went, and by what the reference itself looks faulty.
         notes: what is doubtful about the recordings, one sentence each.
+        read: file that is known further, and its seal as it was read; None where nothing was learned before.
     """
 
     known: LearnedEngine
     found: Learned
     notes: tuple[str, ...]
+    read: tuple[Path, str] | None = None
 
     @property
     def engine(self) -> EngineParameters:
@@ -81,7 +83,15 @@ class LearnedResult(Result):
         return drawn(self.table(), {"maps": corrections}, name)
 
     def save(self, out: str | Path) -> Path:
-        """Write the engine file and, beside it, what it rests on."""
+        """Write the engine file and, beside it, what it rests on.
+
+        Raises:
+            InputError: a place that can't be written to, or a file that more was learned into meanwhile.
+        """
+        path, seal = self.read or (None, "")
+        if path is not None and Path(out).resolve() == path and path.is_file() and seal_of(path) != seal:
+            raise InputError(str(out), "a learned engine that isn't the one read", "the file as it was when this began",
+                             "learn again with --engine naming it, or choose another --out")  # fmt: skip
         save_learned(self.known, Path(out))
         return Path(out)
 
@@ -133,6 +143,8 @@ def _learn_diesel(
     low, high = MAP_ERRORS
     if map_error is not None and not low <= map_error <= high:
         raise InputError("--map-error", f"{map_error:g}", f"{low:g} to {high:g}", "choose another")
+    file = Path(engine).resolve() if isinstance(engine, str | Path) and Path(engine).is_file() else None
+    read = None if file is None else (file, seal_of(file))
     before = learned_engine_of(engine)
     base = diesel_engine(engine) if before is None else before.base
     if before is not None and map_error is not None and map_error != before.map_rms:
@@ -159,12 +171,12 @@ def _learn_diesel(
         further = Further(*np.mean([astuple(one.further) for one in others.values()], axis=0).tolist())
         prior = belief_from_siblings(beliefs, base, size, settings.type_share, further)
     known, found = learn_engine(sources, base, size, before, settings, prior)
-    for source in sources:
+    for source in known.recordings:
         _check_misfit(known, source, settings.misfit_max)
-    known = replace(known, suspected=(*_far_off(known), *_suspected(found)))
+    known = replace(known, suspected=(*_far_off(known), *_suspected(found, [*sources, *known.recordings])))
     notes += [f"note: --siblings {name}: {doubt}; what the type has in common is learned from it all the same, "
               "so leave it out if it wasn't well" for name, one in others.items() for doubt in one.doubts]  # fmt: skip
-    return LearnedResult(known, found, (*notes, *(f"note: {doubt}" for doubt in known.doubts)))
+    return LearnedResult(known, found, (*notes, *(f"note: {doubt}" for doubt in known.doubts)), read)
 
 
 def known_engine(
@@ -237,6 +249,8 @@ def summary(learned: LearnedEngine) -> list[str]:
     if further.size > 1.0:
         lines.append(f"  its maps are off by more than usual: errors of {100.0 * learned.errors:.2g} % are believed, "
                      f"not {100.0 * learned.map_rms:.2g} %")  # fmt: skip
+    if further.smooth > 1.0:
+        lines.append(f"  they are smoother than usual: {further.smooth:.3g} times the correlation length is believed")
     if rough > 0.0:
         lines.append(f"  its maps are rougher than usual: further errors of {rough:.2g} % with half the correlation "
                      "are believed")  # fmt: skip
@@ -312,18 +326,18 @@ def _check_misfit(known: LearnedEngine, source: Recording, most: float) -> None:
 
 def _far_off(known: LearnedEngine) -> list[str]:
     """That maps had to be corrected by far more than what is believed of them, the worst one."""
-    off = max(corrected_maps(known), key=lambda row: row.corrected / known.errors, default=None)
-    if off is None or off.corrected <= _FAR_OFF * known.errors:
+    off = max(corrected_maps(known), key=lambda row: row.corrected, default=None)
+    if off is None or off.corrected <= _FAR_OFF * known.map_rms:
         return []
     return [
-        f"the map of {off.point} is corrected by {100 * off.corrected:.0f} % rms where {100 * known.errors:g} %"
+        f"the map of {off.point} is corrected by {100 * off.corrected:.0f} % rms where {100 * known.map_rms:g} %"
         " is believed: another engine than the base, a sensor that reads wrongly or a fault in the reference; where "
         f"the maps may be off by so much, --map-error {min(off.corrected, MAP_ERRORS[1]):.2f} says so"
     ]
 
 
-def _suspected(found: Learned) -> list[str]:
-    """By what the recordings look faulty themselves, or another engine's."""
+def _suspected(found: Learned, sources: Sequence[Recording]) -> list[str]:
+    """By what the recordings look faulty themselves, or another engine's; `sources`: those with names first."""
     strange = [
         f"{item.column} of the reference would be {item.value:.4g} {item.unit}, {item.deviations:.1f} standard "
         "deviations from what is believed: another displacement than the engine file's, or a sensor that reads wrongly"
@@ -335,6 +349,15 @@ def _suspected(found: Learned) -> list[str]:
     size = magnitude_words(first.name, first.magnitude, first.std, first.unit, extra=False, digits=2)
     others = ", ".join(item.name for item in found.suspicions[1:4])
     told = f" (or {others})" if others else ""
+    if first.alone is not None:
+        one = next(item for item in sources if item.sha256 == first.alone)
+        began = "" if one.began is None else f" of {one.began:%Y-%m-%d}"
+        name = one.path or f"one of the recordings that it was learned from before{began}"
+        return [
+            *strange,
+            f"{name} looks like {first.name} of {size}{told}, the others don't ({np.sqrt(first.gain):.1f} standard "
+            "deviations): leave it out if the engine wasn't well then; it is now part of what counts as healthy"
+        ]
     return [
         *strange,
         f"the reference itself looks like {first.name} of {size}{told}: more than errors of maps explain "

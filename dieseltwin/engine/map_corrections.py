@@ -55,6 +55,7 @@ FINER_LENGTH = 0.5 * CORRELATION_LENGTH
 NODES = 41
 _KEPT_VARIANCE = 0.998  # of a correction; the rest of 2 % rms is 0.09 %
 _KEPT_OF_FINER = 0.98  # of one of the finer length; with 0.95 one of three healthy rough engines kept its alarm
+_USUAL_BESIDE = 1e-3  # of the variance of smoother errors
 _FINER_ORDERS = 10  # of one argument, behind those of the smooth functions; what is left out of its variance is 1e-6
 
 
@@ -69,6 +70,7 @@ class Basis:
         names: (K,) "W_t 1", "W_t 2", ..., then "W_t finer 1", ..., then "eta_tm over BSR 1", ...
         finer: (K,) whether it is one of the finer ones.
         finer_covariance: (K, K) of the coefficients of an error of unit rms and the finer length.
+        orders: (K, 2) order along each argument of the modes of the usual correlation, -1 for none.
     """
 
     tables: np.ndarray
@@ -77,6 +79,7 @@ class Basis:
     names: tuple[str, ...]
     finer: np.ndarray
     finer_covariance: np.ndarray
+    orders: np.ndarray
 
     @property
     def of_ratio(self) -> np.ndarray:
@@ -87,6 +90,26 @@ class Basis:
     def usual(self) -> np.ndarray:
         """(K,) whether it is one of the smooth ones that every engine has."""
         return ~self.finer & ~self.of_ratio
+
+    def smoother(self, length: float) -> np.ndarray:
+        """Covariance (K, K) of the coefficients of an error of unit rms with another correlation length; of the
+        functions that aren't usual, as if they were independent and of unit variance.
+
+        Args:
+            length: times the usual one, at least 1 [-].
+        """
+        values, vectors = _modes(_kernel(CORRELATION_LENGTH))
+        vectors = vectors[:, : 1 + int(self.orders[self.usual].max())]
+        spread = vectors.T @ _kernel(length * CORRELATION_LENGTH) @ vectors
+        at, first, second = np.flatnonzero(self.usual), self.orders[self.usual, 0], self.orders[self.usual, 1]
+        two = np.minimum.outer(second, second) >= 0
+        sizes = np.sqrt(values[first] * np.where(second >= 0, values[second], 1.0))
+        found = np.equal.outer(self.grids[at], self.grids[at]) * spread[np.ix_(first, first)]
+        found *= np.where(two, spread[np.ix_(second, second)], 1.0) / np.outer(sizes, sizes)
+        out = np.eye(self.usual.size)
+        # a thousandth of the usual errors beside, or functions that are none of the longer ones' have no variance
+        out[np.ix_(at, at)] = (1.0 - _USUAL_BESIDE) * found + _USUAL_BESIDE * np.eye(at.size)
+        return out
 
 
 @lru_cache(maxsize=1)
@@ -122,7 +145,8 @@ def basis() -> Basis:
     covariance[:, grids == OF_RATIO] = covariance[grids == OF_RATIO] = 0.0
     names = (*_numbered(smooth, ""), *_numbered(finer, "finer "), *_numbered(of_ratio, "over BSR "))
     maps = np.array([CORRECTED_POINTS.index(GRIDS[g][0]) for g in grids])
-    return Basis(np.array(tables), grids, maps, names, is_finer, covariance / np.outer(sizes, sizes))
+    orders_of = np.stack([first, second], axis=1)
+    return Basis(np.array(tables), grids, maps, names, is_finer, covariance / np.outer(sizes, sizes), orders_of)
 
 
 def _kernel(length: float) -> np.ndarray:

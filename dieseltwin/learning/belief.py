@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import cholesky
 
 from dieseltwin.engine import HEALTH, HEALTH_UNITS, MEASURED, EngineParameters
 from dieseltwin.engine.map_corrections import basis
@@ -35,11 +36,13 @@ class Further:
         rough: variance of errors of all maps of half the correlation length, over that of the smooth ones.
         of_ratio: the same of errors of the turbine's efficiency over speed and blade speed ratio.
         size: of the smooth ones, times what is believed.
+        smooth: their correlation length, times what is believed.
     """
 
     rough: float = 0.0
     of_ratio: float = 0.0
     size: float = 1.0
+    smooth: float = 1.0
 
 
 NOTHING_FURTHER = Further()
@@ -149,8 +152,12 @@ def with_further(belief: Belief, map_rms: float, further: Further) -> Belief:
         return belief
     covariance, functions = belief.covariance.copy(), basis()
     of_unit_rms = further.rough * functions.finer_covariance + further.of_ratio * np.diag(functions.of_ratio)
-    larger = np.where(functions.usual, further.size, 1.0)
-    covariance[MAPS_AT] *= larger[:, None]
-    covariance[:, MAPS_AT] *= larger
+    larger = np.where(functions.usual, further.size, 1.0)[:, None]
+    if further.smooth > 1.0:
+        larger = larger * cholesky(functions.smoother(further.smooth), lower=True)
+    else:
+        larger = larger * np.eye(functions.usual.size)
+    covariance[MAPS_AT] = larger @ covariance[MAPS_AT]
+    covariance[:, MAPS_AT] = covariance[:, MAPS_AT] @ larger.T
     covariance[MAPS_AT, MAPS_AT] += (further.size * map_rms) ** 2 * of_unit_rms
     return Belief(belief.mean, covariance)

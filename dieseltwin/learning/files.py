@@ -154,6 +154,11 @@ def _named_now(path: Path) -> bytes | None:
         return None
 
 
+def seal_of(path: Path) -> str:
+    """Hash of what an engine file knows of its engine; "" for a file that nothing was learned for."""
+    return str(read_mapping(path).get(SHA256, ""))
+
+
 def load_learned(path: Path) -> LearnedEngine | None:
     """What an engine file knows of its engine; None for a file that nothing was learned for.
 
@@ -219,7 +224,9 @@ def _parsed(content: bytes, where: Path) -> LearnedEngine:
         about = json.loads(metadata[_KEY])
     except (pa.ArrowException, OSError, KeyError, ValueError):
         raise InputError(str(where), "not readable", "what `dieseltwin learn` wrote", LEARN_AGAIN) from None
-    if about["schema"] != SCHEMA or tuple(table["name"].to_pylist()) != coordinate_names():
+    further = {key: float(value) for key, value in about.get("further", {}).items()}
+    if (about["schema"] != SCHEMA or tuple(table["name"].to_pylist()) != coordinate_names()
+            or not set(further) <= set(asdict(NOTHING_FURTHER))):  # fmt: skip
         version = f"other corrections, written by version {about['code_version']}"
         raise InputError(str(where), version, "those of this program", LEARN_AGAIN)
     belief = Belief(np.array(table["mean"]), np.array(table["covariance"].to_pylist()))
@@ -231,7 +238,7 @@ def _parsed(content: bytes, where: Path) -> LearnedEngine:
     return LearnedEngine(
         base, belief, float(about["map_rms"]), tuple(_recording(row, data) for row, data in known),
         {point: {k: (v[0], v[1]) for k, v in ends.items()} for point, ends in about["domain"].items()},
-        {row["sha256"]: float(row["misfit"]) for row, _ in known}, prior, Further(**about["further"]),
+        {row["sha256"]: float(row["misfit"]) for row, _ in known}, prior, Further(**further),
         dict(about.get("clocks", {})), bool(about.get("converged", True)),
         tuple(about.get("suspected", ())),
     )  # fmt: skip

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import pandas as pd
 import pytest
@@ -11,10 +12,11 @@ import pytest
 import dieseltwin as dt
 from dieseltwin.api.discovery import ask
 from dieseltwin.api.driving import DrivingQuestion
-from dieseltwin.api.learning import _in_its_unit
+from dieseltwin.api.learning import LearnedResult, _in_its_unit
+from dieseltwin.discovery.reference.learn import Learned
 from dieseltwin.engine import we2011
 from dieseltwin.errors import InputError
-from dieseltwin.learning.files import UNSETTLED, load_learned, save_learned
+from dieseltwin.learning.files import UNSETTLED, load_learned, save_learned, seal_of
 from tests.api.learned import learned_file
 from tests.api.simulated import drive
 
@@ -47,6 +49,36 @@ def test_what_is_doubtful_about_an_engine_is_said_when_a_recording_is_judged_by_
     assert known is not None
     save_learned(replace(known, converged=False, suspected=("the reference itself looks like a leak",)), file)
     assert {f"note: {UNSETTLED}", "note: the reference itself looks like a leak"} <= set(_notes(judged, file))
+
+
+def test_a_copy_counts_once_whatever_its_line_ends(tmp_path: Path) -> None:
+    """It ended in a KeyError after the whole fit."""
+    one, copy = tmp_path / "one.csv", tmp_path / "copy.csv"
+    drive(70.0, we2011.PARAMETERS).to_csv(one, index=False)
+    copy.write_bytes(one.read_bytes().replace(b"\n", b"\r\n"))
+    assert len(dt.learn([one, copy]).known.recordings) == len(dt.learn([copy, one]).known.recordings) == 1
+
+
+def test_what_another_learned_meanwhile_is_not_lost(tmp_path: Path) -> None:
+    file = learned_file(tmp_path)
+    known = load_learned(file)
+    assert known is not None
+    mine = LearnedResult(known, cast(Learned, None), (), (file.resolve(), seal_of(file)))
+    save_learned(replace(known, converged=False), file)
+    with pytest.raises(InputError, match=r"mine\.yaml: got a learned engine that isn't the one read"):
+        mine.save(file)
+    assert mine.save(tmp_path / "other.yaml").is_file()
+
+
+def test_a_file_of_a_newer_version_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = learned_file(tmp_path)
+    known = load_learned(file)
+    assert known is not None
+    monkeypatch.setattr("dieseltwin.learning.files.asdict", lambda further: {"size": 1.0, "unheard": 2.0})
+    save_learned(known, file)
+    monkeypatch.undo()
+    with pytest.raises(InputError, match="other corrections, written by version"):
+        load_learned(file)
 
 
 def _notes(judged: pd.DataFrame, file: Path) -> list[str]:

@@ -6,12 +6,15 @@ the exhaust's temperature, leaves residuals that no usual correction takes up; l
 into what comes nearest (more fuel, where the temperature is missing), and has an alarm later for what it always was.
 One of another family is off by more than is believed: learned as if it weren't, its intervals are too narrow.
 The variances are those under which the readings of the reference are most probable (Rasmussen & Williams, 2006,
-section 5.4.1).
+section 5.4.1). How large errors are and over what length they are correlated is told by the same readings: small ones
+of a short length leave what large ones of a long one leave. A length that is held shorter than it is has many functions
+of which none is there, and the size that is most probable with it is too small by a fifth to two fifths; so sizes and
+lengths are averaged by their probability.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -22,12 +25,14 @@ from dieseltwin.learning.belief import NOTHING_FURTHER, Belief, Further, with_fu
 
 _ROUGH = (0.0, 0.1, 0.3, 1.0, 3.0)  # over the variance of the usual errors
 _OF_RATIO = (0.0, 0.3, 1.0)
-_SIZES = (1.5, 2.0, 2.5, 3.0, 4.0, 5.0)  # times what is believed
+_SIZES = (1.5, 1.75, 2.0, 2.25, 2.5, 2.75, 3.0, 3.5, 4.0, 5.0, 6.0)  # times what is believed
+_LENGTHS = (1.0, 1.15, 1.3, 1.5)  # times what is believed, of errors larger than that
+_STEP = 0.05  # to which an average is rounded: readings that change in the last digits ask for the same
 _AHEAD = 10.0  # of log evidence by which maps must be more probable with a further kind of error: odds of 20000
 
 
 def further_errors(
-    prior: Belief, map_rms: float, information: Array, vector: Array, by_an_effect: Callable[[], float]
+    prior: Belief, map_rms: float, information: Array, vector: Array, by_an_effect: Callable[[], tuple[float, float]]
 ) -> Further:
     """Errors of the maps beyond the usual ones that the readings ask for.
 
@@ -35,8 +40,9 @@ def further_errors(
         prior: what is believed of the usual ones.
         map_rms: size of their errors [-].
         information, vector: (D, D) and (D,) of all coordinates, about the prior's mean, in their inverse units.
-        by_an_effect: log likelihood that the strongest effect of the catalogue gains beside the usual ones. Where it is
-            more than larger errors of all maps gain, the reference has that fault, and no larger errors.
+        by_an_effect: log likelihood that the strongest effect of the catalogue gains beside the usual ones, and the
+            strongest that one recording of several shows alone. Where the first is more than larger errors of all maps
+            gain, or the second more than any others gain, the reference has that fault, and no further errors.
     """
     evidence: dict[Further, float] = {}
 
@@ -47,10 +53,29 @@ def further_errors(
         return evidence[further] - _AHEAD * kinds
 
     usual = max((Further(rough, of_ratio) for of_ratio in _OF_RATIO for rough in _ROUGH), key=ahead)
-    larger = max((replace(usual, rough=rough, size=size) for size in _SIZES for rough in _ROUGH), key=ahead)
-    if ahead(larger) > ahead(usual) and evidence[larger] - evidence[NOTHING_FURTHER] > by_an_effect():
-        return larger
-    return usual
+    sizes = [replace(usual, rough=rough, size=size) for size in _SIZES[::2] for rough in _ROUGH[1:]]
+    sizes += [replace(usual, rough=0.0, size=size, smooth=length) for size in _SIZES for length in _LENGTHS]
+    larger = max(sizes, key=ahead)
+    best = max(usual, larger, key=ahead)
+    if best == NOTHING_FURTHER:
+        return best
+    gains = by_an_effect()
+    if evidence[larger] - evidence[NOTHING_FURTHER] > max(gains) and best == larger:
+        return _average({item: evidence[item] for item in sizes if item.rough == larger.rough})
+    return usual if evidence[usual] - evidence[NOTHING_FURTHER] > gains[1] else NOTHING_FURTHER
+
+
+def _average(evidence: Mapping[Further, float]) -> Further:
+    """Errors as large and as smooth as they are on average over kinds that differ in nothing else."""
+    kinds, logs = list(evidence), np.array(list(evidence.values()))
+    shares = np.exp(logs - logs.max()) / np.exp(logs - logs.max()).sum()
+    size = float(shares @ np.square([item.size for item in kinds])) ** 0.5
+    smooth = float(np.exp(shares @ np.log([item.smooth for item in kinds])))
+    return replace(kinds[0], size=_rounded(size), smooth=_rounded(smooth))
+
+
+def _rounded(value: float) -> float:
+    return round(round(value / _STEP) * _STEP, 2)
 
 
 def log_evidence(covariance: Array, information: Array, vector: Array) -> float:

@@ -83,6 +83,7 @@ class Suspicion:
         name: of the effect; unit: of the magnitude.
         magnitude, std: linear estimate and its standard deviation [unit].
         gain: decrease of -2 log posterior that it gives beyond all that maps, sensors and health can take up.
+        alone: hash of the recording that shows it, where the others don't.
     """
 
     name: str
@@ -90,6 +91,7 @@ class Suspicion:
     magnitude: float
     std: float
     gain: float
+    alone: str | None = None
 
 
 @dataclass(frozen=True)
@@ -300,19 +302,23 @@ class _Joint:
         return tuple(found)
 
     def suspicions(self, least_gain: float) -> tuple[Suspicion, ...]:
-        """Efficient scores of all effects at what was learned, those above a gain, strongest first.
+        """Efficient scores of all effects at what was learned, in all recordings and in each alone, those above a gain,
+        strongest first. One recording of several must show an effect by what the choice among them costs more.
 
         What is left of the gradient of what was learned is taken out as well: next to nothing there is much beside an
         effect of which maps take up all but a thousandth.
         """
-        parts: dict[tuple[str, float], list[tuple[float, float, Array]]] = {}
-        for part, at, rest in zip(self.parts, self.at, self.projected, strict=True):
-            for key, values in part.scores(at, self.x, rest).items():
-                parts.setdefault(key, []).append(values)
+        parts: dict[tuple[str, float, int | None], list[tuple[float, float, Array]]] = {}
+        for k, (part, at, rest) in enumerate(zip(self.parts, self.at, self.projected, strict=True)):
+            for (name, size), values in part.scores(at, self.x, rest).items():
+                parts.setdefault((name, size, None), []).append(values)
+                if len(self.parts) > 1:
+                    parts[name, size, k] = [values]
+        choice = 2.0 * float(np.log(len(self.parts)))
         whole, gradient = self._information(), self._gradient()
         hypotheses = {name: item for part in self.parts for name, item in part.twin.hypotheses.items()}
         found: dict[str, Suspicion] = {}
-        for (name, _), some in parts.items():
+        for (name, _, number), some in parts.items():
             hypothesis = hypotheses[name]
             own = sum(values[1] for values in some)
             across = np.sum([values[2] for values in some], axis=0)
@@ -323,13 +329,18 @@ class _Joint:
                 continue
             size = float(np.clip(push / information, *hypothesis.limits))
             gain = information * size * (2.0 * push / information - size)
+            alone = None if number is None else self.parts[number].sha256
+            gain -= 0.0 if alone is None else choice
             if gain > max(least_gain, found[name].gain if name in found else 0.0):
-                found[name] = Suspicion(name, hypothesis.unit, size, information**-0.5, gain)
+                found[name] = Suspicion(name, hypothesis.unit, size, information**-0.5, gain, alone)
         return tuple(sorted(found.values(), key=lambda item: -item.gain))
 
-    def by_an_effect(self) -> float:
-        """Log likelihood that the strongest effect gains beside what is believed of the maps."""
-        return max((0.5 * item.gain for item in self.suspicions(0.0)), default=0.0)
+    def by_an_effect(self) -> tuple[float, float]:
+        """Log likelihood that the strongest effect gains beside what is believed of the maps, and the strongest that
+        one recording shows alone."""
+        found = self.suspicions(0.0)
+        alone = (item for item in found if item.alone is not None)
+        return max((0.5 * s.gain for s in found), default=0.0), max((0.5 * s.gain for s in alone), default=0.0)
 
     def _simulate(self) -> None:
         """Readings less simulation of all recordings at x."""

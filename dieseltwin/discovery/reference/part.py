@@ -76,6 +76,7 @@ class Part:
     """
 
     def __init__(self, recording: Recording, engine: EngineParameters, prior: Belief, map_rms: float) -> None:
+        self.sha256 = recording.sha256
         self.twin = recorded_twin(recording, engine, map_rms)
         self.conditions = Conditions(self.twin)
         self.at = [MEASURED.index(name) for name in self.twin.channels]

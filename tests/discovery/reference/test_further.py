@@ -40,8 +40,8 @@ def _error(length: float, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return RMS * np.sqrt(2.0 / 48.0) * np.cos(at @ waves.T + phases) @ rng.standard_normal(48)
 
 
-def _no_effect() -> float:
-    return 0.0
+def _no_effect() -> tuple[float, float]:
+    return 0.0, 0.0
 
 
 def _read(length: float, larger: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
@@ -96,8 +96,23 @@ def test_readings_tell_that_maps_are_off_by_more_than_is_believed():
     """Smooth and three times as large: no rough ones; as large by a fault that explains it better: none at all."""
     prior, read = prior_belief(we2011.PARAMETERS, RMS), _read(1.0 / 3.0, larger=3.0)
     found = further_errors(prior, RMS, *read, _no_effect)
-    assert 2.0 <= found.size <= 4.0 and found.rough == 0.0
-    assert further_errors(prior, RMS, *read, lambda: 1e6).size == 1.0
+    assert found.size == pytest.approx(3.0, abs=0.8) and found.rough == 0.0
+    assert further_errors(prior, RMS, *read, lambda: (1e6, 0.0)).size == 1.0
+    assert further_errors(prior, RMS, *read, lambda: (1e6, 1e6)) == NOTHING_FURTHER
+
+
+@pytest.mark.parametrize("length", [1.0 / 3.0, 1.0 / 2.2])
+def test_larger_errors_are_as_smooth_as_they_are(length: float):
+    """Held to the usual length, longer ones would be small: 1.0 to 1.5 times, not three."""
+    prior, read = prior_belief(we2011.PARAMETERS, RMS), _read(length, larger=3.0)
+    found = further_errors(prior, RMS, *read, _no_effect)
+    assert found.size > 2.0 and (found.smooth > 1.2) == (length > 0.4)
+    believed = prior_belief(we2011.PARAMETERS, RMS, found).covariance[MAPS_AT, MAPS_AT]
+    assert np.linalg.eigvalsh(believed).min() > 0.0
+    tables = basis().tables[basis().usual & (basis().maps == MAP)]
+    at = np.flatnonzero(basis().usual & (basis().maps == MAP))
+    middle = tables[:, 20, 20]
+    assert np.sqrt(middle @ believed[np.ix_(at, at)] @ middle) == pytest.approx(RMS * found.size, rel=0.02)
 
 
 def test_larger_errors_are_believed_of_usual_functions_and_beside_rough_ones():

@@ -16,7 +16,7 @@ from dieseltwin.discovery.reference import part as part_module
 from dieseltwin.discovery.reference.learn import Learned, _Joint, combined, learn, learn_engine
 from dieseltwin.discovery.reference.part import Part
 from dieseltwin.engine import HEALTH, we2011
-from dieseltwin.learning.belief import HEALTH_AT, MAPS_AT, prior_belief
+from dieseltwin.learning.belief import HEALTH_AT, MAPS_AT, NOTHING_FURTHER, prior_belief
 from dieseltwin.recordings.reader import Recording, recording
 from dieseltwin.settings.params import default_learn
 
@@ -80,6 +80,15 @@ def test_what_maps_take_up_is_no_suspicion_before_a_fit_is_done(recordings):
     prior = prior_belief(we2011.PARAMETERS, MAP_RMS)
     begun = _Joint([Part(recordings[0], we2011.PARAMETERS, prior, MAP_RMS)], prior)
     assert begun.suspicions(default_learn().suspicious_gain) == ()
+
+
+def test_a_fault_in_one_recording_is_told_of_that_one():
+    """It bought errors of all maps, five times as large as believed, and nobody was told."""
+    sound, leaking = _recording(1), _recording(2, Fault("boost_leak", 4e-5))
+    found = learn([sound, leaking], we2011.PARAMETERS, MAP_RMS)
+    first = found.suspicions[0]
+    assert (first.name, first.alone) == ("boost_leak", leaking.sha256)
+    assert first.magnitude == pytest.approx(4e-5, rel=0.25) and found.further == NOTHING_FURTHER
 
 
 def test_a_window_in_which_a_response_runs_away_says_nothing_of_finer_maps(recordings, monkeypatch):
