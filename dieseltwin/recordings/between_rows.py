@@ -21,6 +21,8 @@ BRIDGE = 4.0 * (np.minimum.outer(_AT, _AT) - np.outer(_AT, _AT))
 """Covariance of what an input does at the nodes beside a straight line, 1 in the middle: that of a Brownian bridge,
 which is also that of a step at any time."""
 
+_SURELY_SEEN_S = 0.09  # between two rows
+
 DIFFERENCE = 0.1
 """Of a standard deviation, for responses: the EGR flow has a kink."""
 
@@ -28,6 +30,11 @@ DIFFERENCE = 0.1
 def rows_are_slow(time_s: Array) -> bool:
     """Whether rows (n,) [s] are too slow to see the inputs move."""
     return float(np.median(np.diff(time_s))) > RATE_TOLERANCE / FULL_HZ
+
+
+def rows_may_be_slow(time_s: Array) -> bool:
+    """Whether inputs may move between rows (n,) [s] that are fast enough for engines that are driven calmly."""
+    return float(np.max(np.diff(time_s), initial=0.0)) > _SURELY_SEEN_S
 
 
 def with_nodes(time_s: Array) -> Array:

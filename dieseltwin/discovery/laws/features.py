@@ -155,6 +155,13 @@ def score_features(at: Linearisation, features: Sequence[Feature]) -> list[Struc
     return _scored(at, features, _responses(at, features)) if features else []
 
 
+def scored_since(at: Linearisation, structure: Sequence[Structure], since_s: float) -> list[Structure]:
+    """Scores of scored features if they act from a time on only [s], strongest first; exact at a window's start."""
+    acts = (at.twin.time_s >= since_s).astype(np.float64)
+    responses = np.stack([item.response for item in structure]) * acts[:, None]
+    return _scored(at, [item.feature for item in structure], responses)
+
+
 def score_what_is_left(
     at: Linearisation, features: Sequence[Feature], before: Sequence[Structure]
 ) -> list[Structure]:

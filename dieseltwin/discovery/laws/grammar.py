@@ -232,11 +232,13 @@ class Form:
         point: name of the insertion point.
         factors: at most three.
         fixed: the coefficient that the form demands (operators replace the quantity), None if it is free.
+        since_s: from when on it acts, in the time of the twin [s]; None: always.
     """
 
     point: str
     factors: tuple[Factor, ...] = ()
     fixed: float | None = None
+    since_s: float | None = None
 
     @property
     def variables(self) -> tuple[str, ...]:
@@ -256,15 +258,16 @@ class Form:
     @property
     def key(self) -> tuple[Any, ...]:
         """Same for forms that differ in the order of factors alone."""
-        return (self.point, tuple(sorted((f.kind, f.variables, f.shape) for f in self.factors)))
+        return (self.point, tuple(sorted((f.kind, f.variables, f.shape) for f in self.factors)), self.since_s or 0.0)
 
     def with_shape(self, shape: float) -> Form:
         """The form with another shape of its first factor."""
         return replace(self, factors=(replace(self.factors[0], shape=shape), *self.factors[1:]))
 
     def value(self, at: Mapping[str, Any], shape: Any = None) -> Any:
-        """Shape of the signal, coefficient 1; `shape` replaces the first factor's."""
-        total: Any = 1.0
+        """Shape of the signal, coefficient 1; `shape` replaces the first factor's. A form with an onset needs
+        `time_s`."""
+        total: Any = 1.0 if self.since_s is None else np.where(np.asarray(at["time_s"]) >= self.since_s, 1.0, 0.0)
         for i, factor in enumerate(self.factors):
             total = total * factor.value(at, shape if i == 0 else None)
         return total

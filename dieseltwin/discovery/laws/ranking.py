@@ -87,7 +87,7 @@ class _Scored:
 
 def rank(
     twin: Twin, responses: Responses, variables: Mapping[str, Array], points: Sequence[str] | None = None,
-    screened: Sequence[str] | None = None,
+    screened: Sequence[str] | None = None, since_s: float | None = None,
 ) -> list[Ranked]:  # fmt: skip
     """Candidate laws of all points, best first.
 
@@ -97,13 +97,14 @@ def rank(
         variables: name -> (n,) along its trajectory, with `time_s`.
         points: names of the points to try; None for all.
         screened: names of those among the points that are ranked at all; laws pay for the choice from all of them.
+        since_s: from when on all of them act [s]; None: always.
     """
     scope = law_scope_of(twin)
     chosen = [i for i, point in enumerate(twin.points) if points is None or point.name in points]
     field = _Field(
         twin, {name: np.asarray(values) for name, values in variables.items()},
         {**scope.units, **dict.fromkeys(TIMES, "s")}, None if scope.kinds is None else frozenset(scope.kinds),
-        float(np.log(responses.at.whitening.present.sum())), len(chosen),
+        float(np.log(responses.at.whitening.present.sum())), len(chosen), since_s,
     )  # fmt: skip
     admitted = variables.keys() if scope.variables is None else variables.keys() & set(scope.variables)
     out: list[Ranked] = []
@@ -124,6 +125,7 @@ class _Field:
         kinds: of factors that are tried; None for all.
         log_readings: logarithm of the number of readings, the extended BIC's price of a coefficient.
         points: number of points among which a law is chosen.
+        since_s: from when on it acts [s]; None: always.
     """
 
     twin: Twin
@@ -132,6 +134,7 @@ class _Field:
     kinds: frozenset[str] | None
     log_readings: float
     points: int
+    since_s: float | None = None
 
     def tries(self, kind: str) -> bool:
         """Whether factors of a kind are tried."""
@@ -156,7 +159,7 @@ class _AtPoint:
     def ranked(self) -> list[Ranked]:
         """The forms that differ in the metric and sums of two of them."""
         point = self.point
-        singles = self._scored([Form(point.name), *(Form(point.name, (f,)) for f in (*self.pool, *self.local))])
+        singles = self._scored([self._form(), *(self._form(f) for f in (*self.pool, *self.local))])
         products = self._products(singles)
         acting = self._scored(self._operators())
         best = sorted([*singles, *products, *acting], key=lambda s: -s.score)[: 3 * _KEPT]
@@ -167,11 +170,15 @@ class _AtPoint:
         firsts += [s for s in singles if not s.form.factors and s not in firsts]  # the constant is always one of them
         return ranked + _pairs(self.index, point, self.response, firsts, [*singles, *free])
 
+    def _form(self, *factors: Factor, fixed: float | None = None) -> Form:
+        """A product at the point."""
+        return Form(self.point.name, factors, fixed, self.field.since_s)
+
     def _operators(self) -> list[Form]:
         """Forms with a coefficient of 1 that act on what passes the point: lags, delays, plays."""
         point, field = self.point, self.field
         own_unit = unit_of(point.name, field.units) if point.name in field.variables else "-"
-        return [Form(point.name, (f,), 1.0) for f in operators(point, own_unit) if field.tries(f.kind)]
+        return [self._form(f, fixed=1.0) for f in operators(point, own_unit) if field.tries(f.kind)]
 
     def _products(self, singles: Sequence[_Scored]) -> list[_Scored]:
         """Products of two and three factors, each round the last round's best by every further factor."""
@@ -183,7 +190,7 @@ class _AtPoint:
             for form in (s.form for s in best):
                 # A bump is multiplied by bumps over the map's other arguments, everything else by everything else.
                 for factor in self.local if form.factors[0].kind == "bump" else self.pool:
-                    longer = Form(form.point, (*form.factors, factor))
+                    longer = self._form(*form.factors, factor)
                     if _useful(form, factor) and longer.key not in seen:
                         seen.add(longer.key)
                         forms.append(longer)

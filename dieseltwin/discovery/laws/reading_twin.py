@@ -31,12 +31,14 @@ class ReadingFault:
         kind: "gain" (reading (1 + size)), "offset" (reading + size) or "lag" (first order, of the reading alone).
         size: gain [-], offset [unit of the channel], lag [s].
         std: standard deviation of it, None before it is known.
+        since_s: from when on it is there, in the time of the twin [s]; None: always.
     """
 
     channel: str
     kind: FaultKind
     size: float = 0.0
     std: float | None = None
+    since_s: float | None = None
 
     def text(self, unit: str = "") -> str:
         """For people."""
@@ -85,18 +87,20 @@ class ReadingTwin:
         """Readings without noise, (B, n, C)."""
         out = np.array(self.base.simulate(self._base_lanes(lanes)), dtype=np.float64)
         sizes = lanes.parameters[:, len(self.base.parameters) :]
+        firsts = [0 if f.since_s is None else int(np.searchsorted(self.time_s, f.since_s)) for f in self.faults]
         for kind in ("lag", "gain", "offset"):
             for k, (fault, at) in enumerate(zip(self.faults, self._at, strict=True)):
                 if fault.kind != kind:
                     continue
+                rows = slice(firsts[k], None)
                 if kind == "lag":
                     for lane, size in zip(out, sizes[:, k], strict=True):
                         if size > 0.0:
-                            lane[:, at] = lagged(np.nan_to_num(lane[:, at]), self.time_s, float(size))
+                            lane[rows, at] = lagged(np.nan_to_num(lane[rows, at]), self.time_s[rows], float(size))
                 elif kind == "gain":
-                    out[..., at] *= 1.0 + sizes[:, k, None]
+                    out[:, rows, at] *= 1.0 + sizes[:, k, None]
                 else:
-                    out[..., at] += sizes[:, k, None]
+                    out[:, rows, at] += sizes[:, k, None]
         return out
 
     def variables(self, lanes: Lanes) -> dict[str, Array]:

@@ -23,7 +23,7 @@ from dieseltwin.discovery.laws.refit import Refit, disagreement, refit_all_laws,
 from dieseltwin.discovery.laws.responses import Responses
 from dieseltwin.discovery.laws.twin import LawTwin, Placed
 from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, fit_fully
-from dieseltwin.discovery.twins.interface import Array, Twin, WithSignals
+from dieseltwin.discovery.twins.interface import ONSET_REACHES_S, Array, Twin, WithSignals, times_about
 
 _RIVALS = 9.0  # 2 delta log-likelihood within which two laws can't be told apart (docs/discovery.md)
 _ALIKE_SHARE = 0.005  # of the gain: what maps that are off a little can add to a form that follows them
@@ -79,6 +79,11 @@ class Law:
     faults: tuple[ReadingFault, ...] = ()
     disagreement: Array | None = None
 
+    @property
+    def since_s(self) -> float | None:
+        """From when on it acts, in the time of the twin [s]; None: always."""
+        return self.faults[0].since_s if self.faults else self.placed[0].form.since_s
+
     def on(self, twin: Twin) -> tuple[Twin, Fit]:
         """The twin with the law inside, and the fit of its parameters with the law's."""
         if self.faults:
@@ -97,10 +102,13 @@ class LawSearch:
         twin: without the law; may hold effects already named (`at.fit`).
         at: converged linearisation of that twin, with its tolerance directions.
         tolerances: directions about the law found, for its last fit; None keeps those of `at`.
+        since_s: from when on the law acts, nearly; the best one's onset is moved until it fits best. None: always.
     """
 
-    def __init__(self, twin: Twin, at: Linearisation, tolerances: Tolerances | None = None) -> None:
-        self.twin, self.at, self.tolerances = twin, at, tolerances
+    def __init__(
+        self, twin: Twin, at: Linearisation, tolerances: Tolerances | None = None, since_s: float | None = None
+    ) -> None:
+        self.twin, self.at, self.tolerances, self.since_s = twin, at, tolerances, since_s
         lanes = at.fit.lanes()
         self.responses, self.variables = Responses(at, lanes), {**twin.variables(lanes), "time_s": twin.time_s}
         self.refits: list[Refit] = []
@@ -114,7 +122,7 @@ class LawSearch:
                 None for all.
         """
         here, variables = self.at, self.variables
-        ranked = rank(self.twin, self.responses, variables, screened=screened)
+        ranked = rank(self.twin, self.responses, variables, screened=screened, since_s=self.since_s)
         self._refit(here, shortlist(ranked, _REFITS), variables)
         for _ in range(_RENEWALS):
             if not self.refits or self.refits[0].score <= 0.0:
@@ -127,6 +135,8 @@ class LawSearch:
         self._refit(here, simple, variables)
         if not self.refits or self.refits[0].score <= _RESOLVED:
             return None
+        if self.since_s is not None:
+            self._date(here, variables)
         return _simplest_first(self.refits)[0]
 
     def law(self) -> Law:
@@ -140,13 +150,25 @@ class LawSearch:
         self.refits += refit_all_laws(self.twin, here, self.at.fit.objective, fresh, variables)
         self.refits.sort(key=lambda refit: -refit.score)
 
+    def _date(self, here: Linearisation, variables: dict[str, Array]) -> None:
+        """The best law from other times on."""
+        for reach in ONSET_REACHES_S:
+            best = _simplest_first(self.refits)[0]
+            since = cast(float, best.twin.laws[0].form.since_s)
+            estimates = zip(best.twin.laws, best.twin.values(best.fit.parameters), strict=True)
+            placed = [replace(law, coefficient=float(coefficient)) for law, (coefficient, _) in estimates]
+            self._refit(here, [
+                replace(best.ranked, placed=tuple(replace(p, form=replace(p.form, since_s=at)) for p in placed))
+                for at in times_about(self.twin, since, reach)
+            ], variables)  # fmt: skip
+
     def _renewed(self) -> tuple[list[Ranked], Linearisation, dict[str, Array]]:
         """Ranking along the trajectory with the best law inside, which is the same where the best is."""
         best = self.refits[0]
         leading = _leading_points(self.twin, self.refits)
         key = (id(best), *leading)
         if key not in self._renewals:
-            self._renewals[key] = _renewed(self.twin, self.at, best, leading)
+            self._renewals[key] = _renewed(self.twin, self.at, best, leading, self.since_s)
         return self._renewals[key]
 
 
@@ -199,7 +221,7 @@ def _leading_points(twin: Twin, refits: Sequence[Refit]) -> tuple[str, ...]:
 
 
 def _renewed(
-    twin: Twin, at: Linearisation, best: Refit, leading: Sequence[str]
+    twin: Twin, at: Linearisation, best: Refit, leading: Sequence[str], since_s: float | None
 ) -> tuple[list[Ranked], Linearisation, dict[str, Array]]:
     """Ranking along the trajectory with the best law inside: all forms compete to explain what it explains."""
     known = len(twin.parameters)
@@ -213,7 +235,7 @@ def _renewed(
         index = next(i for i, p in enumerate(twin.points) if p.name == name)
         responses.add_to_residual(responses.signals(index, signal[None])[0])
     variables = {**best.twin.variables(best.fit.lanes()), "time_s": twin.time_s}
-    return rank(twin, responses, variables, leading), here, variables
+    return rank(twin, responses, variables, leading, since_s=since_s), here, variables
 
 
 def _report(

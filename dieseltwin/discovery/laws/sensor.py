@@ -14,7 +14,7 @@ from dieseltwin.discovery.laws.reading_twin import FaultKind, ReadingFault, Read
 from dieseltwin.discovery.laws.refit import Refit
 from dieseltwin.discovery.laws.search import Law, LawSearch, Rival
 from dieseltwin.discovery.likelihood.fit import Fit, Linearisation, fit_fully
-from dieseltwin.discovery.twins.interface import Twin, law_scope_of
+from dieseltwin.discovery.twins.interface import ONSET_REACHES_S, Twin, law_scope_of, times_about
 
 _WITHIN = 0.5  # of the best linear gain: faults that are refitted
 _MOST = 4
@@ -26,8 +26,11 @@ _LAGS_S = (0.2, 1.0)  # where a lag's fit begins: at none it has no useful slope
 _RESOLVED = 6.0  # score that a fault must reach over no law
 
 
-def faults_of(structure: Sequence[Structure], channels: Sequence[str]) -> list[ReadingFault]:
-    """Faults of sensors worth a refit, by their linear gains: those of a scored `features.generic_features`."""
+def faults_of(
+    structure: Sequence[Structure], channels: Sequence[str], since_s: float | None = None
+) -> list[ReadingFault]:
+    """Faults of sensors worth a refit, by their linear gains: those of a scored `features.generic_features`, from a
+    time on [s]."""
     sensors = [item for item in structure if item.feature.channel is not None]
     if not sensors:
         return []
@@ -38,7 +41,7 @@ def faults_of(structure: Sequence[Structure], channels: Sequence[str]) -> list[R
             size = item.coefficient  # an offset's is relative to the simulated mean
             if kind == "offset":
                 size *= float(np.max(np.abs(item.response)))
-            out.append(ReadingFault(channels[cast(int, item.feature.channel)], kind, size))
+            out.append(ReadingFault(channels[cast(int, item.feature.channel)], kind, size, None, since_s))
     return out
 
 
@@ -95,34 +98,32 @@ class FaultFit:
         )  # fmt: skip
 
 
-def sensor_fault(twin: Twin, at: Linearisation, faults: Sequence[ReadingFault]) -> FaultFit | None:
+def sensor_fault(
+    twin: Twin, at: Linearisation, faults: Sequence[ReadingFault], since_s: float | None = None
+) -> FaultFit | None:
     """The fault of a sensor that explains most of what is left of a fit; lags of sensors that may lag (`LawScope`) too.
 
     Args:
         twin: without it.
         at: converged linearisation of that twin, with its tolerance directions.
         faults: to choose from, with first sizes (`faults_of`).
+        since_s: from when on they are there, nearly; the best one's onset is moved until it fits best. None: always.
 
     Returns:
         None where none is resolved.
     """
     lagging = [name for name in law_scope_of(twin).lagging_sensors if name in twin.channels]
-    tried = [*faults, *(ReadingFault(name, "lag", size) for name in lagging for size in _LAGS_S)]
-    fits: list[tuple[float, ReadingFault, Linearisation]] = []
-    P = len(twin.parameters)
-    for fault in tried:
-        wrong = cast(Twin, ReadingTwin(twin, (fault,)))
-        start = Fit(at.fit.candidate, np.append(at.fit.parameters[:P], fault.size), at.fit.magnitudes, at.fit.local,
-                    np.inf, False)  # fmt: skip
-        try:
-            fitted = fit_fully(wrong, at.whitening, start, at.nuisance_response, _ROUNDS)
-        except np.linalg.LinAlgError:
-            continue
-        if np.isfinite(fitted.fit.objective) and (fault.kind != "lag" or fitted.fit.parameters[P] > 0.0):
-            fits.append((fitted.fit.objective, fault, fitted))
+    lags = (ReadingFault(name, "lag", size, None, since_s) for name in lagging for size in _LAGS_S)
+    fits = list(_fitted(twin, at, [*faults, *lags], at.fit))
     if not fits:
         return None
     fits.sort(key=lambda item: item[0])
+    for reach in () if since_s is None else ONSET_REACHES_S:
+        _, fault, best = fits[0]
+        fault = replace(fault, size=float(best.fit.parameters[len(twin.parameters)]))
+        others = (t for t in times_about(twin, cast(float, fault.since_s), reach) if t != fault.since_s)
+        fits += _fitted(twin, at, [replace(fault, since_s=t) for t in others], best.fit)
+        fits.sort(key=lambda item: item[0])
     objective, fault, best = fits[0]
     rivals: dict[tuple[str, str], Rival] = {}
     for other, weaker, _ in fits[1:]:
@@ -135,9 +136,27 @@ def sensor_fault(twin: Twin, at: Linearisation, faults: Sequence[ReadingFault]) 
     return None if found.score < _RESOLVED else found
 
 
+def _fitted(
+    twin: Twin, at: Linearisation, faults: Sequence[ReadingFault], start: Fit
+) -> Iterator[tuple[float, ReadingFault, Linearisation]]:
+    """Objective, fault and fit of those that can be fitted, from a fit without or with one like it."""
+    P = len(twin.parameters)
+    for fault in faults:
+        wrong = cast(Twin, ReadingTwin(twin, (fault,)))
+        begun = Fit(at.fit.candidate, np.append(start.parameters[:P], fault.size), at.fit.magnitudes, start.local,
+                    np.inf, False)  # fmt: skip
+        try:
+            fitted = fit_fully(wrong, at.whitening, begun, at.nuisance_response, _ROUNDS)
+        except np.linalg.LinAlgError:
+            continue
+        if np.isfinite(fitted.fit.objective) and (fault.kind != "lag" or fitted.fit.parameters[P] > 0.0):
+            yield fitted.fit.objective, fault, fitted
+
+
 def laws_in_turn(
-    twin: Twin, at: Linearisation, structure: Sequence[Structure], tolerances: Tolerances | None = None
-) -> Iterator[Law | None]:
+    twin: Twin, at: Linearisation, structure: Sequence[Structure], tolerances: Tolerances | None = None,
+    since_s: float | None = None,
+) -> Iterator[Law | None]:  # fmt: skip
     """Laws for what no name explains, of a sensor where the linear scores say so, else from the grammar.
 
     The first is the best of the likely points, a second that of all, where it is another; who is content with the first
@@ -148,11 +167,12 @@ def laws_in_turn(
         at: converged health-only fit, with its tolerance directions.
         structure: scored generic features, strongest first.
         tolerances: directions about a linearisation of a law; None keeps those of `at`.
+        since_s: from when on the law acts, as the features were scored [s]; None: always.
     """
     top = structure[0].gain if structure else 0.0
     near = [item for item in structure if item.gain >= _WITHIN * top]
     of_sensors = [item for item in near if item.feature.channel is not None]
-    fault = sensor_fault(twin, at, faults_of(of_sensors, twin.channels))
+    fault = sensor_fault(twin, at, faults_of(of_sensors, twin.channels, since_s), since_s)
     if len(of_sensors) == len(near) > 0:
         yield None if fault is None else fault.law(tolerances)
         return
@@ -163,7 +183,7 @@ def laws_in_turn(
         best: Refit | FaultFit | None = fault
         law: Law | None = None
         try:
-            inside = inside or LawSearch(twin, at, tolerances)
+            inside = inside or LawSearch(twin, at, tolerances, since_s)
             refit = inside.best(screened)
             if refit is not None and (fault is None or _is_ahead(refit, fault)):
                 best = refit

@@ -12,12 +12,20 @@ from dieseltwin.engine.effects import EFFECTS, GAS_LAG
 from dieseltwin.engine.terms import ActuatorTerm, LawGroup, LawTerm, OneTerm, SensorTerm, Term
 
 
-def law_terms_of(law: Law, points: Sequence[Point]) -> tuple[OneTerm, ...]:
+def law_terms_of(law: Law, points: Sequence[Point], onset_s: float | None = None) -> tuple[OneTerm, ...]:
     """The law's terms for the engine file; none where the file has no words for one of them.
 
     It has for products of powers, differences, shares and nozzles of known variables, for gain, offset and lag of a
     sensor, for dead time and play of an actuator, and for the lag of the exhaust gas.
+
+    Args:
+        law: found; points: of the twin.
+        onset_s: since when it acts, from the recording's start [s]; None: always.
     """
+    return tuple(term.model_copy(update={"onset_s": onset_s}) for term in _terms_of(law, points))
+
+
+def _terms_of(law: Law, points: Sequence[Point]) -> tuple[OneTerm, ...]:
     if law.faults:
         return tuple(
             SensorTerm(sensor=fault.channel, fault=fault.kind, magnitude=fault.size, std=fault.std)

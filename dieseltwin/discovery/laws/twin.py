@@ -116,11 +116,13 @@ class LawTwin(TwinDefaults):
 
     def _commanded(self, lanes: Lanes) -> Lanes:
         """Lanes of the base with the operators on the commands."""
-        magnitudes = dict(lanes.magnitudes)
+        magnitudes, schedules = dict(lanes.magnitudes), dict(lanes.schedules)
         for name, law, (_, shape) in zip(self._commands, self.laws, self.values(lanes.parameters), strict=True):
             size = np.broadcast_to(law.form.factors[0].shape if shape is None else shape, (lanes.size,))
             magnitudes[name] = magnitudes.get(name, 0.0) + np.maximum(size, 0.0)
-        return replace(self._base_lanes(lanes), magnitudes=magnitudes)
+            if law.form.since_s is not None:
+                schedules[name] = (self.time_s >= law.form.since_s).astype(np.float64)
+        return replace(self._base_lanes(lanes), magnitudes=magnitudes, schedules=schedules)
 
     def simulate(self, lanes: Lanes) -> Array:
         """Readings without noise, (B, n, C)."""

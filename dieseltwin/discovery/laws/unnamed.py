@@ -8,6 +8,7 @@ health-only fit, where their gains compare with those of names.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -38,13 +39,16 @@ def leading(structure: Sequence[Structure]) -> list[Structure]:
     return kept[:MOST]
 
 
-def refit_terms(twin: Twin, at: Linearisation, items: Sequence[Structure]) -> list[Refit]:
+def refit_terms(
+    twin: Twin, at: Linearisation, items: Sequence[Structure], since_s: float | None = None
+) -> list[Refit]:
     """Refits of terms with all parameters and initial states, best first.
 
     Args:
         twin: without them.
         at: health-only fit, whose metric is used.
         items: terms with their linear estimates.
+        since_s: from when on they act [s]; None: always.
 
     Returns:
         Refits; gains are decreases of -2 log likelihood over `at`.
@@ -55,6 +59,7 @@ def refit_terms(twin: Twin, at: Linearisation, items: Sequence[Structure]) -> li
         form, point = item.feature.form, item.feature.point
         if form is None or point is None:
             continue
+        form = replace(form, since_s=since_s)
         value = np.broadcast_to(form.value(variables), twin.time_s.shape)
         # the feature's signal has unit mean square, the form's has a unit
         coefficient = item.coefficient * float(item.feature.signal @ value) / float(value @ value)
@@ -65,8 +70,9 @@ def refit_terms(twin: Twin, at: Linearisation, items: Sequence[Structure]) -> li
 
 
 def best_term(
-    twin: Twin, whitening: Whitening, at: Linearisation, structure: Sequence[Structure], needed: float
-) -> float:
+    twin: Twin, whitening: Whitening, at: Linearisation, structure: Sequence[Structure], needed: float,
+    since_s: float | None = None,
+) -> float:  # fmt: skip
     """Gain of the best term without a name over the health-only fit, refitted fully where it is near what is needed.
 
     Args:
@@ -75,8 +81,9 @@ def best_term(
         at: health-only fit, whose metric is used.
         structure: scored terms, strongest first.
         needed: gain that decides.
+        since_s: from when on the terms act, as they were scored [s]; None: always.
     """
-    refits = refit_terms(twin, at, leading(structure))
+    refits = refit_terms(twin, at, leading(structure), since_s)
     best = refits[0].gain if refits else 0.0
     for refit in refits[:_POLISHED]:
         if needed - _NEAR < refit.gain and best <= needed:

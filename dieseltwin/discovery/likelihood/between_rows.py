@@ -32,6 +32,15 @@ class WithOpenInputs(Offer, Protocol):
         ...
 
 
+@runtime_checkable
+class WithInputsToOpen(Offer, Protocol):
+    """A twin of a recording whose rows are fast enough where an engine is driven calmly."""
+
+    def with_inputs_between_rows(self) -> Twin | None:
+        """The twin whose inputs may have moved between the rows; None where they may already, or surely didn't."""
+        ...
+
+
 def scatter_about(twin: Twin, lanes: Lanes) -> ModelScatter:
     """What the readings scatter by about one lane: clocks that were put right, and inputs between slow rows."""
     return ModelScatter(clock_scatter(twin, lanes), windows_between_rows(twin, lanes))

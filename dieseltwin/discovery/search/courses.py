@@ -14,7 +14,8 @@ import numpy as np
 
 from dieseltwin.discovery.likelihood.fit import Linearisation
 from dieseltwin.discovery.likelihood.score import Scored, best_of_each
-from dieseltwin.discovery.search.variants import SECOND_EDGE, Sums, Variant
+from dieseltwin.discovery.search.sums import Sums
+from dieseltwin.discovery.search.variants import SECOND_EDGE, Variant
 from dieseltwin.discovery.twins.interface import Array, Twin, WithCourses
 from dieseltwin.engine.courses import Spans, course
 

@@ -8,7 +8,13 @@ from typing import cast
 
 import numpy as np
 
-from dieseltwin.discovery.laws.features import Structure, generic_features, local_features, score_what_is_left
+from dieseltwin.discovery.laws.features import (
+    Structure,
+    generic_features,
+    local_features,
+    score_what_is_left,
+    scored_since,
+)
 from dieseltwin.discovery.laws.final_fit import signals_of
 from dieseltwin.discovery.laws.search import Law
 from dieseltwin.discovery.laws.twin import LawTwin
@@ -16,8 +22,10 @@ from dieseltwin.discovery.laws.unnamed import best_term
 from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, fit_fully
 from dieseltwin.discovery.likelihood.refit import refit_all, widen
 from dieseltwin.discovery.likelihood.score import Scored, best_of_each, effect_responses, score, secant_sizes, spread
+from dieseltwin.discovery.search.courses import has_parts
 from dieseltwin.discovery.search.preparation import in_own_metrics, recentred, tolerance_responses
 from dieseltwin.discovery.search.state import Search, set_probabilities
+from dieseltwin.discovery.search.sums import best_onset
 from dieseltwin.discovery.search.variant_fits import freedom_cost
 from dieseltwin.discovery.search.variants import Variant
 from dieseltwin.discovery.twins.interface import Twin, WithSignals
@@ -154,13 +162,15 @@ def choose(found: Search, first: Linearisation | None, beside: tuple[str, ...] =
     """
     settings = found.settings
     best, kind, fit, variant = leading_kind(found)
-    if _nameless_is_ahead(found, best):
+    later = _unnamed_since(found, variant)
+    ahead = best + settings.law_gain + settings.variant_gain
+    if _nameless_is_ahead(found, best) or any(terms[0].gain > ahead for _, terms in later):
         found.kind = "law"
         return
     found.kind, found.variant = kind, variant
     found.best = first if kind == "single" and first is not None else recentred(found, fit)
     left = look_at_what_is_left(found, found.best)
-    if _leaves_too_much(found, fit, best, beside):
+    if _leaves_too_much(found, fit, best, beside) or _one_later_term_explains_more(found, best, later):
         found.refused, found.kind = kind, "law"
         return
     found.widening = max(1.0, left / settings.chance_leaves)
@@ -189,6 +199,23 @@ def _nameless_is_ahead(found: Search, value: float) -> bool:
     return any(item.gain > bar for item in found.nameless()) or found.local_ahead(bar) is not None
 
 
+def _unnamed_since(found: Search, variant: Variant | None) -> list[tuple[float, list[Structure]]]:
+    """Terms without a name that begin later, scored: since when all of them fit best [s], and since an effect begins
+    or ends.
+
+    Against an effect with an edge where it fits best, a term that is there from the first row on has no chance. What
+    ended may as well be the opposite that began: 9 % less of a thermocouple's reading was walls that had been warm.
+    """
+    if not found.structure or not has_parts(found.twin):
+        return []
+    first_s = float(found.twin.time_s[0])
+    times = [best_onset(found.null, found.structure, found.settings.least_share)[0]]
+    if variant is not None and variant.onset_s is not None and not variant.grows and not variant.gone:
+        times += [t for t in (variant.onset_s, variant.until_s) if t is not None and t > first_s]
+    scored = ((t, found.nameless(scored_since(found.null, found.structure, t))) for t in dict.fromkeys(times))
+    return [(t, terms) for t, terms in scored if terms]
+
+
 def _leaves_too_much(found: Search, fit: Fit, value: float, beside: tuple[str, ...] = ()) -> bool:
     """Whether what names leave, or a term without one instead of them, refuses them.
 
@@ -213,6 +240,18 @@ def _leaves_too_much(found: Search, fit: Fit, value: float, beside: tuple[str, .
         or bumps > max(settings.local_gain, share)
         or (left >= settings.rivals_from and _one_term_explains_more_than_names(found, value))
     )
+
+
+def _one_later_term_explains_more(
+    found: Search, value: float, later: Sequence[tuple[float, Sequence[Structure]]]
+) -> bool:
+    """Whether one of the terms without a name that begin later explains more than names of such a value, by what an
+    onset must add as well, where these leave enough to look."""
+    left = found.left[0].gain if found.left else 0.0
+    if left < found.settings.rivals_from:
+        return False
+    value += found.settings.variant_gain
+    return any(_one_term_explains_more_than_names(found, value, terms, since_s) for since_s, terms in later)
 
 
 def look_at_what_is_left(found: Search, best: Linearisation) -> float:
@@ -276,12 +315,18 @@ def beyond_law(found: Search, law: Law) -> tuple[list[Structure], list[Structure
     return score_what_is_left(at, kinds[0], found.structure), score_what_is_left(at, kinds[1], found.local)
 
 
-def one_term_gains(found: Search, needed: float) -> bool:
-    """Whether one term without a name, refitted by simulation as names are, gains more than is needed."""
-    return best_term(found.twin, found.whitening, found.null, found.nameless(), needed) > needed
+def one_term_gains(
+    found: Search, needed: float, later: Sequence[Structure] | None = None, since_s: float | None = None
+) -> bool:
+    """Whether one term without a name, refitted by simulation as names are, gains more than is needed; `later`: of
+    terms scored as being there from a time on [s]."""
+    terms = found.nameless() if later is None else later
+    return best_term(found.twin, found.whitening, found.null, terms, needed, since_s) > needed
 
 
-def _one_term_explains_more_than_names(found: Search, value: float) -> bool:
+def _one_term_explains_more_than_names(
+    found: Search, value: float, later: Sequence[Structure] | None = None, since_s: float | None = None
+) -> bool:
     """Whether one term without a name, refitted as names are, explains more than the chosen names.
 
     A wrong name may leave nothing about itself, where maps take up the rest, and still be far behind: a compressor's
@@ -289,7 +334,8 @@ def _one_term_explains_more_than_names(found: Search, value: float) -> bool:
     of a right name by x with a probability below exp(-x/2) (likelihood ratio): 5e-4 at 15 for each of a dozen terms
     refitted. Of 138 explanations with right names none was behind by more than 7.
     """
-    return one_term_gains(found, value + max(found.settings.law_gain, found.settings.missing_share * value))
+    needed = value + max(found.settings.law_gain, found.settings.missing_share * value)
+    return one_term_gains(found, needed, later, since_s)
 
 
 def polish(found: Search, fits: Sequence[Fit], count: int = _POLISHED) -> list[Fit]:

@@ -15,7 +15,8 @@ import numpy as np
 from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, simulate_fits
 from dieseltwin.discovery.likelihood.score import Scored, best_of_each
 from dieseltwin.discovery.search.courses import MOST, Parts, at_times
-from dieseltwin.discovery.search.variants import Sums, Variant
+from dieseltwin.discovery.search.sums import Sums
+from dieseltwin.discovery.search.variants import Variant
 from dieseltwin.discovery.twins.interface import Array
 
 _EDGES = 21  # samples that are tried for an edge, twice

@@ -6,8 +6,10 @@ Works on any `Twin`. Gains are decreases of -2 log marginal likelihood over the 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
+from dieseltwin.discovery.laws.features import Structure
 from dieseltwin.discovery.laws.sensor import laws_in_turn
 from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, fit_fully
 from dieseltwin.discovery.likelihood.learned import belief_of
@@ -25,11 +27,14 @@ from dieseltwin.discovery.search.circumstances import (
     ROUNDS,
     in_assumed_weather,
     in_weather_of,
+    noise_is_too_large,
     same_circumstances,
     under_circumstances,
     weather_is_settled,
+    with_inputs_between_rows,
     with_reading_in_time,
 )
+from dieseltwin.discovery.search.courses import has_parts
 from dieseltwin.discovery.search.explanations import (
     beyond_law,
     choose,
@@ -50,6 +55,7 @@ from dieseltwin.discovery.search.renewal import BENDS, about_the_leader
 from dieseltwin.discovery.search.settled import evidence_of
 from dieseltwin.discovery.search.standing import explain_standing
 from dieseltwin.discovery.search.state import Search
+from dieseltwin.discovery.search.sums import best_onset
 from dieseltwin.discovery.search.variant_fits import scan_all, try_variants
 from dieseltwin.discovery.time_limit import OutOfTimeError, time_limit
 from dieseltwin.discovery.twins.interface import OverRecordings, Twin
@@ -111,7 +117,20 @@ def carry_on(
         if found.kind != "law" and (found.kind != "healthy" or raises_alarm(found, found.singles[0])):
             choose_so_far(found)
     found.earlier = []
-    return found
+    return _with_inputs_between_rows(found, laws, None if time_s is None else time_s - (time.perf_counter() - began))
+
+
+def _with_inputs_between_rows(found: Search, laws: bool, time_s: float | None) -> Search:
+    """The search where inputs may have moved between the rows, where that explains more or the noise can't be as large
+    as without; arguments as of `carry_on`."""
+    other = None if found.unfinished else with_inputs_between_rows(found)
+    if other is None or (time_s is not None and time_s <= 0.0):
+        return found
+    clock = time.perf_counter()
+    here = prepare(other, found.settings)
+    left = None if time_s is None else time_s - (time.perf_counter() - clock)
+    here = carry_on(here, laws=laws, time_s=left)
+    return here if noise_is_too_large(found) else _likelier(found, here)
 
 
 def _with_names(found: Search, starts: Sequence[Fit]) -> Search:
@@ -320,25 +339,45 @@ def _with_reading_in_time(found: Search) -> Search:
 
 
 def _better_law(one: Search, other: Search) -> Search:
-    """The search whose law explains more of the readings that both use, each with its own noise."""
+    """The search whose law explains more of the readings that both use."""
+    return _likelier(one, other, lambda found: 0.0 if found.law is None else found.law.score)
+
+
+def _likelier(one: Search, other: Search, gain: Callable[[Search], float] = Search.explained) -> Search:
+    """The search that explains more of the readings that both use, each with its own noise; `gain`: of its find."""
     present = one.whitening.present & other.whitening.present
 
     def evidence(found: Search) -> float:
-        noise = 2.0 * found.whitening.log_normaliser(present)
-        return evidence_of(found.null) + noise - (0.0 if found.law is None else found.law.score)
+        return evidence_of(found.null) + 2.0 * found.whitening.log_normaliser(present) - gain(found)
 
     return min((one, other), key=evidence)
 
 
 def _law(found: Search) -> None:
-    """A law where one is resolved, and what it leaves.
+    """A law where one is resolved, and what it leaves: one that is there from the first row on, or, where that explains
+    more by what an onset must add, from later on."""
+    clock = time.perf_counter()
+    terms = found.everything_unnamed()
+    _law_of(found, terms, None)
+    least = found.settings.variant_gain
+    if terms and has_parts(found.twin):
+        since_s, later = best_onset(found.null, terms, found.settings.least_share)
+        if later and later[0].gain > terms[0].gain + 0.5 * least:
+            other = replace(found, law=None)
+            _law_of(other, later, since_s)
+            if other.law is not None and other.law.score > least + (0.0 if found.law is None else found.law.score):
+                found.law, found.left, found.left_local = other.law, other.left, other.left_local
+    found.seconds["law"] = time.perf_counter() - clock
+
+
+def _law_of(found: Search, terms: Sequence[Structure], since_s: float | None) -> None:
+    """A law that is there from a time on, and what it leaves.
 
     Where it leaves more than it should, points whose linear gains are small are looked at, too: what a large effect
     does isn't linear. A back pressure, 28 % of the best one's, was a law of the turbine's efficiency.
     """
-    clock = time.perf_counter()
-    laws = laws_in_turn(found.twin, found.null, found.everything_unnamed(),
-                        lambda here: tolerance_responses(here.twin, here, found.settings))  # fmt: skip
+    laws = laws_in_turn(found.twin, found.null, terms,
+                        lambda here: tolerance_responses(here.twin, here, found.settings), since_s)  # fmt: skip
     for law in laws:
         if law is None or (found.law is not None and law.score <= found.law.score):
             break
@@ -346,4 +385,3 @@ def _law(found: Search) -> None:
         found.left, found.left_local = beyond_law(found, law)
         if not found.more_is_missing():
             break
-    found.seconds["law"] = time.perf_counter() - clock

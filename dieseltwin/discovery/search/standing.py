@@ -30,7 +30,8 @@ from dieseltwin.discovery.search.explanations import look_at_what_is_left
 from dieseltwin.discovery.search.pauses import dated, left_by, likeliest_parts, window_costs
 from dieseltwin.discovery.search.preparation import prepare, telling_alone
 from dieseltwin.discovery.search.state import Search, set_probabilities
-from dieseltwin.discovery.search.variants import LEAST_SHARE, SECOND_EDGE, Variant
+from dieseltwin.discovery.search.sums import LEAST_SHARE
+from dieseltwin.discovery.search.variants import SECOND_EDGE, Variant
 from dieseltwin.discovery.twins.interface import Array, Lanes, Twin, WithCourses, rows_of
 from dieseltwin.recordings.noise import estimate_noise
 from dieseltwin.settings.search import SearchSettings

@@ -144,9 +144,17 @@ class Search:
             return False
         return name is not None and name in self.twin.hypotheses and name not in self.settings.withhold
 
-    def nameless(self) -> list[Structure]:
-        """The lasting terms that no hypothesis says."""
-        return [item for item in self.lasting() if not self.known_by_name(item)]
+    def nameless(self, structure: Sequence[Structure] | None = None) -> list[Structure]:
+        """The lasting terms that no hypothesis says, of some; None: of those that are there from the first row on."""
+        some = self._lasting(self.structure if structure is None else structure)
+        return [item for item in some if not self.known_by_name(item)]
+
+    @property
+    def since_s(self) -> float | None:
+        """From when on the explanation is there, in the time of the twin [s]; None: from the first row on."""
+        if self.kind == "law":
+            return None if self.law is None else self.law.since_s
+        return self.variant.onset_s if self.kind == "variant" and self.variant is not None else None
 
     def beyond_chance(self, fit: Fit) -> bool:
         """Whether what a fit explains is an alarm if its sizes are of interest."""

@@ -25,17 +25,15 @@ from dieseltwin.discovery.search.variants import (
     SECOND_EDGE,
     Variant,
     edge_cost,
-    onset_candidates,
     redated,
     rescan,
     same_region,
     scan,
 )
-from dieseltwin.discovery.twins.interface import Twin
+from dieseltwin.discovery.twins.interface import ONSET_REACHES_S, Twin, times_about
 
 _VARIANTS = 6  # that begin or act in a part of the driving are refitted
 _DATINGS = 2  # another effect that leads between the same edges has them moved for itself
-_ONSET_REACH_S = 8.0  # about the first estimate of an onset
 _RIVALS = 4  # other effects that act in the best region, or in the best parts of the time
 _RESCANS = ((3, 0.04), (2, 0.02), (1, 0.01))  # of so many leading regions, about their own refits, ever finer
 _POLISHED = 4  # of the leading effects
@@ -123,9 +121,9 @@ def _all_along(twin: Twin, item: Scored) -> Variant:
 
 def _times_of_leader(found: Search) -> str:
     """Move the edges of the leading effect until they fit best, and try the others between the same ones; its name."""
-    for reach, count in ((_ONSET_REACH_S, 5), (2.0, 5)):
+    for reach in ONSET_REACHES_S:
         for best in first_of_each_course([variant for variant, _ in found.variants]):
-            near = [[] if edge is None else onset_candidates(found.twin, edge, reach, count)
+            near = [[] if edge is None else times_about(found.twin, edge, reach)
                     for edge in (best.onset_s, best.until_s)]
             _refit_variants(found, moved(found.twin, best, *near))
     best, _ = found.variants[0]
@@ -148,7 +146,7 @@ def _date_anew(found: Search) -> None:
     for variant, fit in _leaders(found):
         if variant.onset_s is not None and not (variant.until_s or variant.grows or variant.gone):
             other = redated(found.null, variant.name, float(fit.magnitudes[0]), found.settings.least_share)
-            if abs(float(other.onset_s or 0.0) - variant.onset_s) > _ONSET_REACH_S:
+            if abs(float(other.onset_s or 0.0) - variant.onset_s) > ONSET_REACHES_S[0]:
                 dated.append(other)
     _refit_variants(found, dated)
 

@@ -7,11 +7,9 @@ over windows, over bins of a condition and over recordings: masked responses nee
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
 
 from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, simulate_fits
 from dieseltwin.discovery.likelihood.score import (
@@ -21,11 +19,11 @@ from dieseltwin.discovery.likelihood.score import (
     score,
     without_parameters,
 )
+from dieseltwin.discovery.search.sums import LEAST_SHARE, Sums, gain_of, gains_since
 from dieseltwin.discovery.twins.interface import Array, OverRecordings, Twin
 from dieseltwin.engine.courses import Spans
 
 _BINS = 20  # of a condition, with equal numbers of samples
-LEAST_SHARE = 0.08  # of the samples that a variant must act on, and leave out
 SECOND_EDGE = 8.0  # gain that a second edge along one condition must add
 _SECOND_CONDITION = 12.0  # gain that a second condition of a region must add
 _REFINED = 6  # of the leading effects have their regions' edges found in turn, until none moves
@@ -64,77 +62,6 @@ class Variant:
     until_s: float | None = None
     grows: bool = False
     gone: Spans = ()
-
-
-class Sums:
-    """Information and push of masked responses, by sums over groups of rows."""
-
-    def __init__(self, at: Linearisation, items: Sequence[Scored], least_share: float = LEAST_SHARE) -> None:
-        metric = at.metric
-        self.at, self.items, self.least_share = at, items, least_share
-        self.vectors = metric.without_local(np.stack([item.response for item in items]))  # (H, rows)
-        self.rows = self.vectors.shape[1]
-        self.residual = metric.without_local(np.nan_to_num(at.residual)[None])[0]
-        information = at.projected @ at.projected.T + np.diag(at.precision)
-        held = np.hstack([at.projected, np.diag(np.sqrt(at.precision))])  # each by its prior, in a row of its own
-        parameters = solve_triangular(cholesky(information, lower=True), held, lower=True)
-        bases, pull = [parameters[:, : self.rows]], [parameters[:, -len(held):] @ at.pulled_residual[-len(held):]]
-        if metric.nuisance_basis is not None:
-            bases.append(metric.nuisance_basis[:, : self.rows])
-            pull.append(np.zeros(len(bases[-1])))
-        self.basis = np.vstack(bases)  # (K, rows): tolerances and parameters
-        self.known = self.basis @ self.residual + np.concatenate(pull)
-        limits = np.array([at.twin.hypotheses[item.name].limits for item in items])
-        self.low, self.high = limits[:, 0], limits[:, 1]
-
-    def only(self, h: int) -> Sums:
-        """The same for one hypothesis."""
-        part = copy(self)
-        part.items, part.vectors = [self.items[h]], self.vectors[h : h + 1]
-        part.low, part.high = self.low[h : h + 1], self.high[h : h + 1]
-        return part
-
-    def of(self, group: np.ndarray, count: int) -> tuple[Array, Array, Array]:
-        """Squares (G, H), pushes (G, H) and inner products with the basis (G, K, H) of each group of rows.
-
-        group: (rows,) number of each row's group, -1 for rows that never act.
-        """
-        shape = (count, len(self.items))
-        squares, pushes = np.zeros(shape), np.zeros(shape)
-        inner = np.zeros((count, self.basis.shape[0], len(self.items)))
-        order = np.argsort(group, kind="stable")
-        edges = np.searchsorted(group[order], np.arange(count + 1))
-        for g in range(count):
-            at = order[edges[g] : edges[g + 1]]
-            part = self.vectors[:, at]
-            squares[g] = np.einsum("hr,hr->h", part, part)
-            pushes[g] = part @ self.residual[at]
-            inner[g] = self.basis[:, at] @ part.T
-        return squares, pushes, inner
-
-    def gains(self, squares: Array, pushes: Array, inner: Array) -> Array:
-        """Gains (..., H) of sums over groups."""
-        information = np.maximum(squares - (inner**2).sum(axis=-2), 1e-9 * np.maximum(squares, 1e-300))
-        push = pushes - np.einsum("...kh,k->...h", inner, self.known)
-        gains = _gain(push, information, self.low, self.high)
-        return np.where(information > 1e-4 * squares, gains, 0.0)
-
-    def gains_where(self, acts: np.ndarray) -> Array:
-        """Gains (H,) of acting in some samples (n,)."""
-        return self.gains(*(part[0] for part in self.of(self.per_row(np.where(acts, 0, -1)), 1)))
-
-    def per_row(self, of_sample: np.ndarray) -> np.ndarray:
-        """(n,) group of each sample -> (rows,) group of each row; rows of priors belong to none."""
-        channels = self.at.residual.shape[1]
-        group = np.full(self.rows, -1, dtype=np.int64)
-        group[: of_sample.size * channels] = np.repeat(of_sample, channels)
-        return group
-
-
-def _gain(push: Array | float, information: Array | float, low: Array | float, high: Array | float) -> Array:
-    """Decrease of -2 log likelihood by the best magnitude inside its limits."""
-    estimate = np.clip(push / information, low, high)
-    return np.asarray(estimate * (2.0 * push - estimate * information))
 
 
 def scan(
@@ -182,18 +109,12 @@ def _schedule(acts: np.ndarray) -> Array:
 
 
 def _onsets(sums: Sums) -> list[Variant]:
-    twin = sums.at.twin
-    n, W = twin.time_s.size, twin.starts.size
-    of_sample = np.searchsorted(twin.starts, np.arange(n), side="right") - 1
-    squares, pushes, inner = (np.cumsum(part[::-1], axis=0)[::-1] for part in sums.of(sums.per_row(of_sample), W))
-    gains = sums.gains(squares, pushes, inner)
-    allowed = (twin.starts > sums.least_share * n) & (twin.starts < (1.0 - sums.least_share) * n)
-    gains[~allowed] = 0.0
+    twin, gains = sums.at.twin, gains_since(sums)
     best = gains.argmax(axis=0)
     found = []
     for h, w in enumerate(best):
-        since = float(twin.time_s[twin.starts[w]])
-        found.append(_variant(twin, sums.items[h], since, None, np.arange(n) >= twin.starts[w], gains[w, h]))
+        since, acts = float(twin.time_s[twin.starts[w]]), np.arange(twin.time_s.size) >= twin.starts[w]
+        found.append(_variant(twin, sums.items[h], since, None, acts, gains[w, h]))
     return found
 
 
@@ -301,13 +222,6 @@ def redated(at: Linearisation, name: str, size: float, least_share: float) -> Va
     return _onsets(Sums(at, score(at, wanted, effect_responses(at.twin, at, wanted)), least_share))[0]
 
 
-def onset_candidates(twin: Twin, around_s: float, reach_s: float, count: int) -> list[float]:
-    """Times about a first estimate, at samples, `count` of them [s]."""
-    times = np.linspace(around_s - reach_s, around_s + reach_s, count)
-    inner = times[(times > twin.time_s[2]) & (times < twin.time_s[-3])]
-    return sorted({float(twin.time_s[np.searchsorted(twin.time_s, t)]) for t in inner})
-
-
 def same_region(at: Linearisation, scored: Sequence[Scored], like: Variant) -> list[Variant]:
     """All hypotheses in the region, or with the profile over recordings, of one variant, strongest first."""
     if like.profile is not None:
@@ -354,7 +268,7 @@ def rescan(null: Linearisation, variant: Variant, fit: Fit, fine: float) -> Vari
                 if information <= 0.0:
                     continue
                 pushed = float(push[a:b].sum())
-                value = float(_gain(pushed, information, low, high)) - SECOND_EDGE * ((a > 0) + (b < len(slabs)))
+                value = float(gain_of(pushed, information, low, high)) - SECOND_EDGE * ((a > 0) + (b < len(slabs)))
                 if value > best:
                     best, region[name] = value, _open_ended(edges, a, b)
         gain = best

@@ -89,6 +89,11 @@ class EngineTwin:
     own_schedules = True
     """Lanes may have schedules of their own."""
     courses = True
+    between_rows = False
+    """Whether inputs may have moved between rows that aren't slow."""
+    known_between: tuple[Array, ...] = ()
+    """`covariance_between_rows` of such rows, as it was about the first fit: what inputs may have done is a guess, and
+    so many rows take ten seconds."""
 
     def __init__(
         self,
@@ -337,7 +342,13 @@ class EngineTwin:
 
     def covariance_between_rows(self, lanes: Lanes) -> tuple[Array, ...]:
         """`likelihood.between_rows.WithOpenInputs`."""
-        return covariance_between_rows(self, lanes)
+        sizes = np.diff(np.append(self.starts, self.time_s.size)) * len(self.channels)
+        if self.between_rows and [len(known) for known in self.known_between] == sizes.tolist():
+            return self.known_between
+        found = covariance_between_rows(self, lanes)
+        if self.between_rows:
+            self.known_between = found
+        return found
 
     def _actuations(self, combined: Mapping[str, Array], schedules: Mapping[str, Array]) -> list[Actuation] | None:
         """Of every lane where an effect acts on a command; None where none does."""

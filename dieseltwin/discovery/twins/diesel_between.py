@@ -33,6 +33,7 @@ class Driven(Protocol):
     starts: np.ndarray
     pieces: np.ndarray
     steps_s: Array
+    between_rows: bool
 
     def with_own_laws(self, lanes: Lanes) -> Lanes:
         """Lanes with the engine's own laws as signals."""
@@ -60,7 +61,7 @@ def covariance_between_rows(twin: Driven, lanes: Lanes) -> tuple[Array, ...]:
     Returns:
         One of each window, readings row by row; none where rows are fast enough to see the inputs move.
     """
-    if not rows_are_slow(twin.inputs.time_s):
+    if not (twin.between_rows or rows_are_slow(twin.inputs.time_s)):
         return ()
     lanes = twin.with_own_laws(lanes)
     edges = np.append(twin.starts, twin.inputs.time_s.size)

@@ -16,6 +16,7 @@ from dieseltwin.engine.actuation import actuate_lanes
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.engine.inputs import INPUT_COLUMNS, Actuation
 from dieseltwin.learning.belief import Belief
+from dieseltwin.recordings.between_rows import rows_are_slow, rows_may_be_slow
 from dieseltwin.recordings.circumstances import (
     DRIFT,
     SCALE,
@@ -143,9 +144,18 @@ class LoggedTwin(EngineTwin):
         recording, engine, sensors, map_tolerance, belief = self._read
         other = LoggedTwin(recording, engine, sensors, map_tolerance=map_tolerance, belief=belief, beliefs=self.beliefs,
                            values=values, opened=opened, like=self if like else None)  # fmt: skip
+        other.between_rows, other.known_between = self.between_rows, self.known_between
         if like:
             empty = ~np.isfinite(self.measured).any(axis=1)
             other.measured[empty] = np.nan
+        return other
+
+    def with_inputs_between_rows(self) -> LoggedTwin | None:
+        """`likelihood.between_rows.WithInputsToOpen`."""
+        if self.between_rows or not rows_may_be_slow(self.inputs.time_s) or rows_are_slow(self.inputs.time_s):
+            return None
+        other = self.under(self.values, self.opened)
+        other.between_rows = True
         return other
 
     def circumstance_responses(self, lanes: Lanes, simulated: Array, names: Sequence[str]) -> Array:

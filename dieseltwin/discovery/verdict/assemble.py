@@ -240,7 +240,8 @@ def _held_rows(found: Search) -> np.ndarray:
 
 def _terms(found: Search, location: Location, twin: EngineTwin | SeveralTwin, fit: Fit) -> tuple[Any, ...]:
     if found.kind == "law":
-        return () if found.law is None else law_terms_of(found.law, twin.points)
+        since = None if isinstance(twin, SeveralTwin) else location.onset_s
+        return () if found.law is None else law_terms_of(found.law, twin.points, since)
     P = len(twin.parameters)
     variant = found.variant if found.kind == "variant" else None
     times: dict[str, Any] = {}  # of a recording by itself

@@ -207,8 +207,10 @@ class Fit(FrozenModel):
 
     @property
     def beyond_tolerances(self) -> bool:
-        """Whether more is left than noise, maps and sensors leave."""
-        return (self.chi2_per_sample_after or 0.0) > NOTED_CHI2 or (self.chi2_per_sample_beyond or 0.0) > LEFT_OVER
+        """Whether more is left than noise, maps and sensors leave: beside quiet sensors tolerances alone leave much."""
+        if self.chi2_per_sample_beyond is not None:
+            return self.chi2_per_sample_beyond > LEFT_OVER
+        return (self.chi2_per_sample_after or 0.0) > NOTED_CHI2
 
 
 class FoundCircumstance(FrozenModel):
@@ -322,9 +324,11 @@ def fit_doubts(document: Discrepancy) -> list[Note]:
     """Notes about the fit that a document itself calls for."""
     words = "what was found doesn't explain all of the misfit: more is missing, so sizes and names may be off"
     notes = [Note(words, "more_is_missing")] if document.more_is_missing else []
+    if not document.fit.beyond_tolerances:
+        return notes
     if (chi2 := document.fit.chi2_per_sample_after or 0.0) > NOTED_CHI2:
         notes.append(Note(f"the repaired twin leaves {chi2**0.5:.2g} times the noise", "misfit"))
-    elif document.fit.beyond_tolerances:
+    else:
         left = f"{document.fit.chi2_per_sample_beyond:.2f} of chi-square per sample is left, where noise leaves 1"
         notes.append(Note(f"{left}, even with maps and sensors as far off as they most likely are", "misfit"))
     return notes

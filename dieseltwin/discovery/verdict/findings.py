@@ -34,8 +34,14 @@ def location(found: Search, twin: EngineTwin | SeveralTwin, evidence: Array) -> 
     return ranked_location(
         site_probabilities(found),
         regions=_regions(twin, evidence, variant.region if variant else None),
-        **({} if variant is None else times_since_start(twin, variant)),
+        **({} if variant is None else times_since_start(twin, variant)), **_since_of_law(found, twin),
     )
+
+
+def _since_of_law(found: Search, twin: Twin) -> dict[str, Any]:
+    """Since when a law acts that isn't there from the first row on, by the field of `Location`."""
+    since_s = found.since_s if found.kind == "law" else None
+    return {} if since_s is None else {"onset_s": since_start(twin, since_s)}
 
 
 def since_start(twin: Twin, time_s: float) -> float:

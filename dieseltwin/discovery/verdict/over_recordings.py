@@ -130,14 +130,14 @@ def told_apart(found: Search, days: Sequence[Dated]) -> tuple[list[Sizes], str]:
 def onset_of(location: Location, found: Search, days: Sequence[Dated]) -> Location:
     """The location with the onset as a date, where the effect wasn't there from the first recording on."""
     twin, variant = found.twin, found.variant if found.kind == "variant" else None
-    if variant is None or not isinstance(twin, SeveralTwin):
+    if not isinstance(twin, SeveralTwin):
         return location
-    if variant.onset_s is not None:
-        row = int(np.searchsorted(twin.time_s, variant.onset_s))
+    if found.since_s is not None:
+        row = int(np.searchsorted(twin.time_s, found.since_s))
         r = twin.recording_at(row)
         here = twin.since_start(row)
         return location.model_copy(update={"onset_s": here, "onset_date": days[r].day})
-    kind, _, number = (variant.profile or "").partition(":")
+    kind, _, number = ("" if variant is None else variant.profile or "").partition(":")
     if kind == "begins":
         k = int(number)
         return location.model_copy(update={"onset_date": days[k].day, "onset_after": days[k - 1].day})
