@@ -19,6 +19,7 @@ from scipy.linalg import cho_factor, cho_solve
 from dieseltwin.discovery.reference.conditions import Weather, clocks_of_all
 from dieseltwin.discovery.reference.further import further_errors
 from dieseltwin.discovery.reference.part import Linear, Part
+from dieseltwin.discovery.reference.suspicion import Suspicion
 from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.engine import EngineParameters
 from dieseltwin.learning.belief import HEALTH_AT, NOTHING_FURTHER, Belief, Further, prior_belief, with_further
@@ -73,25 +74,6 @@ def combined(prior: Belief, evidence: Sequence[Evidence]) -> Belief:
     covariance = np.linalg.inv(information)
     covariance = 0.5 * (covariance + covariance.T)
     return Belief(scale * (covariance @ vector), covariance * np.outer(scale, scale))
-
-
-@dataclass(frozen=True)
-class Suspicion:
-    """An effect that the recordings show although they are believed to be of a healthy engine.
-
-    Attributes:
-        name: of the effect; unit: of the magnitude.
-        magnitude, std: linear estimate and its standard deviation [unit].
-        gain: decrease of -2 log posterior that it gives beyond all that maps, sensors and health can take up.
-        alone: hash of the recording that shows it, where the others don't.
-    """
-
-    name: str
-    unit: str
-    magnitude: float
-    std: float
-    gain: float
-    alone: str | None = None
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,6 @@ from typing import cast
 import numpy as np
 
 from dieseltwin.discovery.laws.features import generic_features, score_features
-from dieseltwin.discovery.likelihood.between_rows import WithInputsToOpen
 from dieseltwin.discovery.likelihood.circumstances import (
     WithCircumstances,
     from_the_middle,
@@ -22,7 +21,6 @@ from dieseltwin.discovery.likelihood.circumstances import (
 )
 from dieseltwin.discovery.likelihood.fit import Fit, Linearisation
 from dieseltwin.discovery.likelihood.learned import belief_of
-from dieseltwin.discovery.likelihood.metric import Whitening
 from dieseltwin.discovery.likelihood.score import score, without_parameters
 from dieseltwin.discovery.search.settled import Settled, by_leaving_out, by_taking_in, evidence_of, settle
 from dieseltwin.discovery.search.state import Search
@@ -30,7 +28,6 @@ from dieseltwin.discovery.search.variants import scan
 from dieseltwin.discovery.twins.interface import Array, OverRecordings, Twin
 from dieseltwin.recordings.channels import AMBIENT
 from dieseltwin.recordings.circumstances import DRIFT, SCALE, TIME_SHIFT, Circumstance
-from dieseltwin.recordings.noise import estimate_noise
 
 ROUNDS = 3  # of looking again under what was found
 
@@ -40,7 +37,6 @@ _BESIDE = 2.0  # times as far beside an effect
 _LINEAR = 0.7  # of a gain that shifts reach by simulation, at least, is seen in their responses
 _UNSETTLED = 0.03  # of a prior's standard deviation (0.2 kPa, 0.5 K): beside a name weather is followed up to here
 _FARTHEST = 3.0  # standard deviations of its prior that a sensor's clock is looked for by whole rows
-_NOISE_LEAVES = (0.97, 1.075)  # of chi-square a reading, where an explanation is right
 _CATALOGUE = 2  # effects at once that the catalogue explains by itself
 
 
@@ -122,44 +118,6 @@ def with_reading_in_time(found: Search) -> Twin | None:
     if not late:
         return None
     return twin.under({name: value for name, value in twin.values.items() if name not in late}, twin.opened - late)
-
-
-def with_inputs_between_rows(found: Search) -> Twin | None:
-    """The twin whose inputs may have moved between its rows, where an explanation leaves more or less than its noise.
-
-    Inputs that move unseen leave errors which differences of rows take for noise in part, and which health and maps
-    can't take up: of eight healthy engines of a foreign simulator, driven by a quick pedal and recorded at 5 or 10 Hz,
-    all got an alarm and were left with 0.76 to 0.96 or 1.10 to 1.25 of what noise leaves; right names leave 1.02 to
-    1.06.
-    """
-    if found.kind == "healthy" or not isinstance(found.twin, WithInputsToOpen):
-        return None
-    strange = not _NOISE_LEAVES[0] < _share_left(found) < _NOISE_LEAVES[1]
-    return found.twin.with_inputs_between_rows() if strange else None
-
-
-def noise_is_too_large(found: Search) -> bool:
-    """Whether an explanation leaves less than the noise that differences of rows tell: they hold more than noise."""
-    return _share_left(found) <= _NOISE_LEAVES[0]
-
-
-def _share_left(found: Search) -> float:
-    """Chi-square a reading that an explanation leaves, maps and sensors as they most likely are beside it.
-
-    The noise is that beside the explanation: beside health alone a large effect that begins was noise in part.
-    """
-    at, null = found.null if found.best is None else found.best, found.null
-    simulated = at.simulated
-    if found.law is not None:
-        twin, fit = found.law.on(found.twin)
-        simulated = twin.simulate(fit.lanes())[0]
-    residual = np.nan_to_num(found.twin.measured - simulated)
-    if null.nuisance_response is not None:
-        residual = residual - np.tensordot(null.metric.nuisance_estimate(residual), null.nuisance_response, 1)
-    measured = found.twin.measured
-    noise = estimate_noise(measured, explained=measured - residual)
-    whitening = Whitening.of(measured, noise, found.twin.starts, found.scatter)
-    return float((whitening.apply(residual[None])[0] ** 2).sum()) / max(float(whitening.present.sum()), 1.0)
 
 
 def weather_is_settled(found: Search) -> bool:

@@ -27,11 +27,9 @@ from dieseltwin.discovery.search.circumstances import (
     ROUNDS,
     in_assumed_weather,
     in_weather_of,
-    noise_is_too_large,
     same_circumstances,
     under_circumstances,
     weather_is_settled,
-    with_inputs_between_rows,
     with_reading_in_time,
 )
 from dieseltwin.discovery.search.courses import has_parts
@@ -51,6 +49,7 @@ from dieseltwin.discovery.search.preparation import (
     recentred,
     tolerance_responses,
 )
+from dieseltwin.discovery.search.quick_inputs import noise_is_too_large, with_inputs_between_rows
 from dieseltwin.discovery.search.renewal import BENDS, about_the_leader
 from dieseltwin.discovery.search.settled import evidence_of
 from dieseltwin.discovery.search.standing import explain_standing

@@ -90,10 +90,8 @@ class EngineTwin:
     """Lanes may have schedules of their own."""
     courses = True
     between_rows = False
-    """Whether inputs may have moved between rows that aren't slow."""
+    """Whether inputs may have moved between rows that aren't slow: with a covariance as it was first, a slow guess."""
     known_between: tuple[Array, ...] = ()
-    """`covariance_between_rows` of such rows, as it was about the first fit: what inputs may have done is a guess, and
-    so many rows take ten seconds."""
 
     def __init__(
         self,
