@@ -115,8 +115,8 @@ class LearnedEngine:
 
     @property
     def minutes(self) -> float:
-        """Length of all recordings [min]."""
-        return sum(item.duration_s for item in self.recordings) / 60.0
+        """Of all recordings with the engine running [min]."""
+        return sum(item.running_s for item in self.recordings) / 60.0
 
 
 def save_learned(learned: LearnedEngine, path: Path) -> Path:

@@ -35,6 +35,11 @@ def circumstance_words(item: FoundCircumstance) -> str:
     return f"{words} is {_with_deviation(value, factor * item.std, 1)} {unit}, not {assumed:.1f}"
 
 
+def shown_day(date: str) -> str:
+    """Day of a recording's date, or the name that stands for it where there is none."""
+    return date if date.startswith("recording") else date[:10]
+
+
 def _with_deviation(value: float, std: float, decimals: int) -> str:
     """Value ± standard deviation; more decimals where a deviation that isn't zero would read as zero."""
     if std > 0.0 and round(std, decimals) == 0.0:
@@ -46,7 +51,7 @@ def circumstances_words(document: Discrepancy) -> str:
     """All circumstances that are plainly others than assumed, empty where there is none."""
     off = [
         circumstance_words(item) if item.recording is None
-        else f"on {document.recordings[item.recording - 1].date[:10]} {circumstance_words(item)}"
+        else f"on {shown_day(document.recordings[item.recording - 1].date)} {circumstance_words(item)}"
         for item in document.circumstances if item.off
     ]  # fmt: skip
     return listing(off) if off else ""

@@ -17,7 +17,7 @@ from dieseltwin.discovery.verdict.when import clock, when_words
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.notes import listing
 from dieseltwin.report import quantities
-from dieseltwin.report.circumstance_words import recorded_words
+from dieseltwin.report.circumstance_words import recorded_words, shown_day
 
 SENSOR = "sensor:"
 
@@ -177,10 +177,12 @@ def shifts(health: Mapping[str, HealthValue]) -> list[tuple[str, float]]:
 
 def _health_words(document: Discrepancy) -> str:
     moved = shifts(document.health)
+    lost = [name for name, entry in document.health.items() if (entry.std or 0.0) > abs(entry.value)]
+    untold = f"{listing(lost)} can no longer be told beside it" if lost else ""
     if not moved:
-        return "the health parameters stay where the fit without it had them, within their uncertainty or 1 %"
+        return untold or "the health parameters stay where the fit without it had them, within their uncertainty or 1 %"
     parts = [f"{name} {100 * abs(shift):.2g} % too {'high' if shift > 0 else 'low'}" for name, shift in moved]
-    return f"the fit of the health parameters alone had put {listing(parts)}"
+    return f"the fit of the health parameters alone had put {listing(parts)}" + (f", and {untold}" if untold else "")
 
 
 def _number(value: float, step: float) -> str:
@@ -213,7 +215,7 @@ def _when_words(document: Discrepancy) -> str:
 
 def _over_recordings(document: Discrepancy) -> str:
     """How what is missing differs between several recordings."""
-    location, days = document.location, [item.date[:10] for item in document.recordings]
+    location, days = document.location, [shown_day(item.date) for item in document.recordings]
     text = f"over {len(days)} recordings ({days[0]} to {days[-1]})"
     if location is not None and location.onset_s is not None:
         return f"{text} since {clock(location.onset_s)} into that of {location.onset_date}"

@@ -9,7 +9,7 @@ from dieseltwin.api.driving import _column_notes, circumstance_notes
 from dieseltwin.discovery.verdict.document import Discrepancy, FoundCircumstance, fit_doubts, with_warnings
 from dieseltwin.engine.effects import EFFECTS, SITES
 from dieseltwin.notes import Note
-from dieseltwin.report.circumstance_words import circumstance_words
+from dieseltwin.report.circumstance_words import circumstance_words, shown_day
 from dieseltwin.report.discovery_words import magnitude_words, sentence, site_words
 
 OFFSET = {
@@ -209,3 +209,14 @@ def test_a_charge_at_another_temperature_is_not_said_to_be_no_fault(name: str, s
     notes = [str(note) for note in circumstance_notes(document)]
     assert said in sentence(document) and said in notes[0]
     assert ("no fault" in sentence(document)) == ("no fault" in notes[0]) == (name != "t_im_k")
+
+
+def test_health_that_is_no_longer_told_is_said_to_be() -> None:
+    """A deviation of 360 times the value was "within their uncertainty"."""
+    health = {"A_egrmax": {"value": 3.4e-4, "std": 0.12, "before": 2.4e-4}}
+    text = sentence(synthetic.document(health=health))
+    assert "A_egrmax can no longer be told beside it" in text and "within their uncertainty" not in text
+
+
+def test_a_recording_without_a_date_keeps_its_whole_name() -> None:
+    assert [shown_day(name) for name in ("recording 12", "2026-03-14T08:00:00")] == ["recording 12", "2026-03-14"]
