@@ -56,6 +56,7 @@ from dieseltwin.version import __version__
 SCHEMA = 1
 UNSETTLED = "the engine was learned by a fit that stopped before it converged; intervals may be too narrow, and what \
 doesn't fit may be the reference's"
+_MAY_DIFFER = (*HEALTH, "p_amb", "T_amb", "T_im")  # in the file of a repaired engine, or on another day
 _KEY = b"dieseltwin.learned"
 
 
@@ -163,12 +164,17 @@ def load_learned(path: Path) -> LearnedEngine | None:
     """What an engine file knows of its engine; None for a file that nothing was learned for.
 
     Raises:
-        InputError: the Parquet file that it names is missing, changed or not readable.
+        InputError: the Parquet file that it names is missing, changed or not readable; a parameter was changed since.
     """
     document = read_mapping(path)
     if LEARNED not in document:
         return None
-    return _parsed(learned_bytes(path, document), path.with_name(str(document[LEARNED])))
+    known = _parsed(learned_bytes(path, document), path.with_name(str(document[LEARNED])))
+    for name, value in known.base.model_dump(mode="json").items():
+        if isinstance(value, float) and name not in _MAY_DIFFER and document.get(name, value) != value:
+            raise InputError(f"{path}: {name}", f"{document[name]}", f"{value:.6g}, with which it was learned",
+                             "change the base, and learn again with --engine naming that")  # fmt: skip
+    return known
 
 
 def learned_engine_of(engine: object) -> LearnedEngine | None:
@@ -253,10 +259,15 @@ def _recording(row: dict[str, Any], data: bytes) -> Recording:
 
 
 def overlap(recordings: Sequence[Recording], other: Recording) -> float:
-    """Share of another recording's rows that are also in some recordings, 0-1: alike in all inputs and readings."""
-    names = sorted({*INPUTS, *MEASURED} & set(other.columns))
-    known = (_rows(item, names) for item in recordings if set(names) <= set(item.columns))
-    return share_known(_rows(other, names), known)
+    """Share of another recording's rows that are also in some recordings, 0-1: alike in all inputs and in the readings
+    that both have, of which one sensor's at least."""
+    alike: dict[tuple[str, ...], list[Recording]] = {}
+    for item in recordings:
+        names = {*INPUTS, *MEASURED} & set(other.columns) & set(item.columns)
+        if not names.isdisjoint(MEASURED):
+            alike.setdefault(tuple(sorted(names)), []).append(item)
+    shares = (share_known(_rows(other, n), (_rows(item, n) for item in some)) for n, some in alike.items())
+    return max(shares, default=0.0)
 
 
 def _rows(item: Recording, names: Sequence[str]) -> np.ndarray:

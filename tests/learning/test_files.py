@@ -17,6 +17,7 @@ from dieseltwin.learning import files
 from dieseltwin.learning.belief import MAPS_AT, Belief, prior_belief
 from dieseltwin.learning.domain import domain_of
 from dieseltwin.learning.files import LearnedEngine, load_learned, overlap, save_learned
+from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.reader import Recording, recording
 from dieseltwin.recordings.shared_rows import distinct
 
@@ -143,6 +144,25 @@ def test_rows_of_the_reference_are_recognised(two):
     part = Recording(first.time_s[50:], {k: v[50:] for k, v in first.columns.items()}, 1e5, 298.0)
     assert overlap((first, second), part) == 1.0
     assert overlap((second,), first) < 0.01
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_rows_are_recognised_where_one_has_a_sensor_more(two, turned: bool):
+    one, other = two[0], replace(two[0], columns={k: v for k, v in two[0].columns.items() if k != "w_c_kg_s"})
+    known, asked = (other, one) if turned else (one, other)
+    assert overlap((known,), asked) == 1.0 and overlap((two[1],), asked) == 0.0
+    inputs_alone = replace(one, columns={k: v for k, v in one.columns.items() if k in INPUTS})
+    assert overlap((one,), inputs_alone) == 0.0  # of the same cycle on two days
+
+
+def test_what_an_engine_is_built_like_is_not_changed_behind_what_was_learned(tmp_path: Path, two):
+    """`simulate` took the new displacement and `discover` the old one, without a word."""
+    path = tmp_path / "mine.yaml"
+    save_learned(_learned(*two), path)
+    lines = [line for line in path.read_text().splitlines() if not line.startswith("# content_sha256:")]
+    path.write_text("\n".join(lines).replace(f"V_d: {we2011.PARAMETERS.V_d}", "V_d: 0.015"))
+    with pytest.raises(InputError, match=r"V_d: got 0\.015; allowed: 0\.012"):
+        load_learned(path)
 
 
 def test_a_file_without_learned_corrections_is_an_ordinary_one(tmp_path: Path):
