@@ -23,16 +23,16 @@ def with_inputs_between_rows(found: Search) -> Twin | None:
     """
     if found.kind == "healthy" or not isinstance(found.twin, WithInputsToOpen):
         return None
-    strange = not _NOISE_LEAVES[0] < _share_left(found) < _NOISE_LEAVES[1]
+    strange = not _NOISE_LEAVES[0] < share_left(found) < _NOISE_LEAVES[1]
     return found.twin.with_inputs_between_rows() if strange else None
 
 
 def noise_is_too_large(found: Search) -> bool:
     """Whether an explanation leaves less than the noise that differences of rows tell: they hold more than noise."""
-    return _share_left(found) <= _NOISE_LEAVES[0]
+    return share_left(found) <= _NOISE_LEAVES[0]
 
 
-def _share_left(found: Search) -> float:
+def share_left(found: Search) -> float:
     """Chi-square a reading that an explanation leaves, maps and sensors as they most likely are beside it.
 
     The noise is that beside the explanation: beside health alone a large effect that begins was noise in part.
