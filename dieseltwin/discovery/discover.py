@@ -22,7 +22,7 @@ from dieseltwin.discovery.twins.several import Occasion, SeveralTwin
 from dieseltwin.discovery.verdict.assemble import assemble
 from dieseltwin.discovery.verdict.checks import misfit_of
 from dieseltwin.discovery.verdict.curves import Discovery
-from dieseltwin.discovery.verdict.document import NOTED_CHI2, Reference, fit_doubts, with_warnings
+from dieseltwin.discovery.verdict.document import LEFT_OVER, Reference, fit_doubts, with_warnings
 from dieseltwin.discovery.verdict.over_recordings import unseen_bias
 from dieseltwin.discovery.verdict.unseen import HealthBias
 from dieseltwin.engine import EngineParameters
@@ -120,7 +120,7 @@ def _found(prepared: Prepared, options: Options, time_s: float | None) -> Search
     A valve takes nearly all of any large misfit: a leak of 50 mm2 that came and went was vanes that stood still.
     """
     found = search.carry_on(prepared.found.anew(), laws=options.law_search, time_s=time_s)
-    if prepared.otherwise is None or share_left(found) <= NOTED_CHI2:
+    if prepared.otherwise is None or share_left(found) <= LEFT_OVER:
         return found
     other = search.carry_on(prepared.otherwise.anew(), laws=options.law_search, time_s=time_s)
     return min(found, other, key=share_left)

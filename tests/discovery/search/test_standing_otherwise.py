@@ -13,7 +13,7 @@ from dieseltwin.discovery.options import Options
 
 @pytest.mark.parametrize(
     ("valve", "otherwise", "chosen", "searches"),
-    [(1.3, 1.0, "valve", 1), (6.0, 1.1, "otherwise", 2), (6.0, 9.0, "valve", 2), (6.0, None, "valve", 1)],
+    [(1.15, 1.0, "valve", 1), (1.9, 1.1, "otherwise", 2), (6.0, 9.0, "valve", 2), (6.0, None, "valve", 1)],
 )
 def test_whichever_leaves_less(
     monkeypatch: pytest.MonkeyPatch, valve: float, otherwise: float | None, chosen: str, searches: int
