@@ -38,7 +38,7 @@ def _recorded_at_5_hz(effects: dict[str, float]) -> Recording:
 def test_what_inputs_do_between_the_rows_is_no_fault(monkeypatch: pytest.MonkeyPatch) -> None:
     healthy = _recorded_at_5_hz({})
     assert not discover(healthy, we2011.PARAMETERS).document.mismatch
-    monkeypatch.setattr(search_run, "with_inputs_between_rows", lambda found: None)
+    monkeypatch.setattr(search_run, "with_inputs_between_rows", lambda twin, left: None)
     assert discover(healthy, we2011.PARAMETERS).document.mismatch  # as lines it would be one
 
 

@@ -209,7 +209,7 @@ def _unnamed_since(found: Search, variant: Variant | None) -> list[tuple[float, 
     if not found.structure or not has_parts(found.twin):
         return []
     first_s = float(found.twin.time_s[0])
-    times = [best_onset(found.null, found.structure, found.settings.least_share)[0]]
+    times = [best_onset(found.null, found.structure, found.settings.least_share)]
     if variant is not None and variant.onset_s is not None and not variant.grows and not variant.gone:
         times += [t for t in (variant.onset_s, variant.until_s) if t is not None and t > first_s]
     scored = ((t, found.nameless(scored_since(found.null, found.structure, t))) for t in dict.fromkeys(times))

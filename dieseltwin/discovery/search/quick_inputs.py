@@ -13,23 +13,23 @@ from dieseltwin.recordings.noise import estimate_noise
 _NOISE_LEAVES = (0.97, 1.075)  # of chi-square a reading, where an explanation is right
 
 
-def with_inputs_between_rows(found: Search) -> Twin | None:
+def with_inputs_between_rows(twin: WithInputsToOpen, left: float) -> Twin | None:
     """The twin whose inputs may have moved between its rows, where an explanation leaves more or less than its noise.
 
     Inputs that move unseen leave errors which differences of rows take for noise in part, and which health and maps
     can't take up: of eight healthy engines of a foreign simulator, driven by a quick pedal and recorded at 5 or 10 Hz,
     all got an alarm and were left with 0.76 to 0.96 or 1.10 to 1.25 of what noise leaves; right names leave 1.02 to
     1.06.
+
+    Args:
+        twin: of the search; left: `share_left` of its explanation.
     """
-    if found.kind == "healthy" or not isinstance(found.twin, WithInputsToOpen):
-        return None
-    strange = not _NOISE_LEAVES[0] < share_left(found) < _NOISE_LEAVES[1]
-    return found.twin.with_inputs_between_rows() if strange else None
+    return None if _NOISE_LEAVES[0] < left < _NOISE_LEAVES[1] else twin.with_inputs_between_rows()
 
 
-def noise_is_too_large(found: Search) -> bool:
+def noise_is_too_large(left: float) -> bool:
     """Whether an explanation leaves less than the noise that differences of rows tell: they hold more than noise."""
-    return share_left(found) <= _NOISE_LEAVES[0]
+    return left <= _NOISE_LEAVES[0]
 
 
 def share_left(found: Search) -> float:

@@ -9,8 +9,9 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from dieseltwin.discovery.laws.features import Structure
+from dieseltwin.discovery.laws.features import Structure, scored_since
 from dieseltwin.discovery.laws.sensor import laws_in_turn
+from dieseltwin.discovery.likelihood.between_rows import WithInputsToOpen
 from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, fit_fully
 from dieseltwin.discovery.likelihood.learned import belief_of
 from dieseltwin.discovery.likelihood.refit import nearer, refit_all
@@ -49,7 +50,7 @@ from dieseltwin.discovery.search.preparation import (
     recentred,
     tolerance_responses,
 )
-from dieseltwin.discovery.search.quick_inputs import noise_is_too_large, with_inputs_between_rows
+from dieseltwin.discovery.search.quick_inputs import noise_is_too_large, share_left, with_inputs_between_rows
 from dieseltwin.discovery.search.renewal import BENDS, about_the_leader
 from dieseltwin.discovery.search.settled import evidence_of
 from dieseltwin.discovery.search.standing import explain_standing
@@ -122,14 +123,17 @@ def carry_on(
 def _with_inputs_between_rows(found: Search, laws: bool, time_s: float | None) -> Search:
     """The search where inputs may have moved between the rows, where that explains more or the noise can't be as large
     as without; arguments as of `carry_on`."""
-    other = None if found.unfinished else with_inputs_between_rows(found)
+    if found.unfinished or found.kind == "healthy" or not isinstance(found.twin, WithInputsToOpen):
+        return found
+    left_over = share_left(found)
+    other = with_inputs_between_rows(found.twin, left_over)
     if other is None or (time_s is not None and time_s <= 0.0):
         return found
     clock = time.perf_counter()
     here = prepare(other, found.settings)
     left = None if time_s is None else time_s - (time.perf_counter() - clock)
     here = carry_on(here, laws=laws, time_s=left)
-    return here if noise_is_too_large(found) else _likelier(found, here)
+    return here if noise_is_too_large(left_over) else _likelier(found, here)
 
 
 def _with_names(found: Search, starts: Sequence[Fit]) -> Search:
@@ -360,7 +364,8 @@ def _law(found: Search) -> None:
     _law_of(found, terms, None)
     least = found.settings.variant_gain
     if terms and has_parts(found.twin):
-        since_s, later = best_onset(found.null, terms, found.settings.least_share)
+        since_s = best_onset(found.null, terms, found.settings.least_share)
+        later = scored_since(found.null, terms, since_s)
         if later and later[0].gain > terms[0].gain + 0.5 * least:
             other = replace(found, law=None)
             _law_of(other, later, since_s)

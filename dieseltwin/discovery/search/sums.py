@@ -11,7 +11,7 @@ from copy import copy
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
-from dieseltwin.discovery.laws.features import Structure, scored_since
+from dieseltwin.discovery.laws.features import Structure
 from dieseltwin.discovery.likelihood.fit import Linearisation
 from dieseltwin.discovery.likelihood.score import Scored
 from dieseltwin.discovery.twins.interface import Array
@@ -115,10 +115,8 @@ def gains_since(sums: Sums) -> Array:
     return gains
 
 
-def best_onset(
-    at: Linearisation, structure: Sequence[Structure], least_share: float
-) -> tuple[float, list[Structure]]:
-    """Since when terms without a name gain most [s], at the start of a window; and their scores if they act since then.
+def best_onset(at: Linearisation, structure: Sequence[Structure], least_share: float) -> float:
+    """Since when one of some terms without a name gains most [s], at the start of a window.
 
     Args:
         at: what they were scored at.
@@ -126,5 +124,4 @@ def best_onset(
         least_share: of the samples that lie before and behind.
     """
     gains, twin = gains_since(Sums(at, (), least_share, structure)), at.twin
-    first = int(twin.starts[int(gains.max(axis=1).argmax())])
-    return float(twin.time_s[first]), scored_since(at, structure, float(twin.time_s[first]))
+    return float(twin.time_s[twin.starts[int(gains.max(axis=1).argmax())]])
