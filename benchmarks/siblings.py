@@ -36,7 +36,7 @@ from dieseltwin.challenge.plant import run_plant
 from dieseltwin.challenge.routes import draw_driving
 from dieseltwin.challenge.sensors import SensorSet, read
 from dieseltwin.engine import HEALTH, we2011
-from dieseltwin.settings.params import default_learn
+from dieseltwin.settings.defaults import default_learn
 
 LABORATORY = we2011.PARAMETERS.model_dump()
 OF_TYPE, RECORDED, DRIVEN_IN_REFERENCE = 0, 1, 2  # streams of random numbers

@@ -39,7 +39,6 @@ def discover(
 
     from dieseltwin.api.discovery import ask
     from dieseltwin.api.findings import Asked
-    from dieseltwin.settings.params import default_discover
 
     source, engine = recording.resolve(), engine.resolve() if engine is not None else None
     with tempfile.TemporaryDirectory() as folder:
@@ -47,7 +46,7 @@ def discover(
         shutil.copyfile(source, Path(folder) / name)
         # The document names the recording's path: a relative one, the same wherever the cache lies.
         with chdir(folder):
-            question = ask(Path(name), engine, asked=Asked(sensors, seed=default_discover().seed))
+            question = ask(Path(name), engine, asked=Asked(sensors))
             lines = list(question.preview())
             found = question.answer()
             found.save("found")

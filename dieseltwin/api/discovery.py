@@ -28,7 +28,7 @@ def discover(
     sensors: Sequence[str] | None = None,
     withhold: Sequence[str] | None = None,
     map_tolerance: float | None = None,
-    seed: int = 0,
+    seed: int | None = None,
     reference: Source | Recording | Sequence[Source | Recording] = (),
     time_s: float | None = None,
 ) -> Discovered:
@@ -45,7 +45,7 @@ def discover(
         withhold: effects to keep out of the catalogue.
         map_tolerance: standard deviation of the maps' smooth relative error that is believed [-]; None is that of
             params.yaml, where all else that is decided by stands too.
-        seed: of everything random.
+        seed: of everything random; None is that of params.yaml.
         reference: recordings of the engine when it was known to be well; it is learned from them first.
         time_s: for a recording of the diesel engine, after so many seconds the best answer so far is given and says so;
             None is that of params.yaml.

@@ -259,7 +259,7 @@ def ask(
     if left := sorted({name for used in sensors for name in used} - set(common)):
         notes.append(Note(f"{listed(left)} is not in all recordings and isn't used", "reading", tuple(left)))
     options = Options(sensors=common, withhold=tuple(asked["withhold"]), map_tolerance=asked["map_tolerance"],
-                      seed=question.seed, search=question.settings.search.driving,
+                      seed=question.random_seed, search=question.settings.search.driving,
                       circumstances=question.settings.search.circumstances)
     last = days[-1].recording if days else sources[0]
     whole = next(whole for source, whole in zip(sources, wholes, strict=True) if source is last)
@@ -318,7 +318,7 @@ def _column_notes(document: Discrepancy, columns: Container[str]) -> list[Note]:
 
 
 def _asked(engine: Engine | str | Path | None, channels: Channels | None, question: Asked) -> dict[str, Any]:
-    withhold, sensors, seed, settings = question.withhold or (), question.sensors, question.seed, question.settings
+    withhold, sensors, settings = question.withhold or (), question.sensors, question.settings
     question.check(EFFECTS, settings.search.driving.withhold)
     map_tolerance = settings.map_tolerance if question.map_tolerance is None else question.map_tolerance
     low, high = TOLERANCE_RANGE
@@ -331,7 +331,7 @@ def _asked(engine: Engine | str | Path | None, channels: Channels | None, questi
         raise InputError("--sensors", "no name", f"columns such as {','.join(SENSORS)}", "name some or leave it out")
     return {
         "sensors": None if sensors is None else sorted(set(sensors)), "withhold": sorted(set(withhold)),
-        "map_tolerance": map_tolerance, "seed": seed, "time_s": time_s,
+        "map_tolerance": map_tolerance, "seed": question.random_seed, "time_s": time_s,
         "minutes_max": settings.minutes_max, "engine_sha256": _engine_sha256(engine),
         "channels_sha256": channels_sha256(channels),
         "search_sha256": params_sha256(settings.search.model_dump(mode="json", include={"driving", "circumstances"})),

@@ -23,9 +23,9 @@ from dieseltwin.discovery.verdict.explain import Known
 from dieseltwin.errors import InputError
 from dieseltwin.paths import file_sha256
 from dieseltwin.recordings.reader import Recording
+from dieseltwin.settings.defaults import default_discover
 from dieseltwin.settings.discovery import DiscoverConfig
 from dieseltwin.settings.names import unknown_name
-from dieseltwin.settings.params import default_discover
 
 COLUMNS = ("effect", "magnitude", "std", "unit", "probability", "equivalent", "law")
 
@@ -38,7 +38,7 @@ class Asked:
         sensors: columns to use; None is all that there are.
         withhold: effects to keep out of the catalogue.
         map_tolerance: standard deviation of the maps' smooth relative error that is believed [-]; None: the settings'.
-        seed: of everything random.
+        seed: of everything random; None: the settings'.
         reference: recordings of the engine when it was known to be well; it is learned from them first.
         settings: what is decided by; `discover` of params.yaml.
         time_s: of the whole discovery [s], after which the best answer so far is given; None: the settings'.
@@ -48,7 +48,7 @@ class Asked:
     sensors: Sequence[str] | None = None
     withhold: Sequence[str] | None = None
     map_tolerance: float | None = None
-    seed: int = 0
+    seed: int | None = None
     reference: Sequence[Source | Recording] = ()
     settings: DiscoverConfig = field(default_factory=default_discover)
     time_s: float | None = None
@@ -58,6 +58,11 @@ class Asked:
         for name in ("sensors", "withhold"):
             if isinstance(value := getattr(self, name), str):  # one name is no sequence of letters
                 object.__setattr__(self, name, (value,))
+
+    @property
+    def random_seed(self) -> int:
+        """Of everything random."""
+        return self.settings.seed if self.seed is None else self.seed
 
     def check(self, catalogue: Collection[str], by_settings: Sequence[str] = ()) -> None:
         """Refuse what no kind of machine takes.
@@ -72,8 +77,8 @@ class Asked:
         for effect in (*(self.withhold or ()), *by_settings):
             if effect not in catalogue:
                 raise unknown_name("--withhold", effect, list(catalogue))
-        if self.seed < 0:
-            raise InputError("--seed", self.seed, "0 or more", "choose another")
+        if self.random_seed < 0:
+            raise InputError("--seed", self.random_seed, "0 or more", "choose another")
 
 
 class Discovered(Result):

@@ -20,8 +20,8 @@ from dieseltwin.learning.history import Entry, History, TakenOut
 from dieseltwin.paths import file_sha256
 from dieseltwin.report import history as pages
 from dieseltwin.report.page import write_page
+from dieseltwin.settings.defaults import default_watch
 from dieseltwin.settings.names import listed
-from dieseltwin.settings.params import default_watch
 from dieseltwin.settings.watch import WatchConfig
 
 if TYPE_CHECKING:

@@ -36,6 +36,7 @@ from dieseltwin.report.circumstance_words import circumstance_words
 from dieseltwin.rigs.recording import RigRecording
 from dieseltwin.sealed import sealed_json
 from dieseltwin.sensors import relative_noise
+from dieseltwin.settings.defaults import deciding_by
 from dieseltwin.settings.methods import EXACT, Method, find
 from dieseltwin.settings.names import listed, refuse_options, unknown_name
 from dieseltwin.settings.params import DEFAULT_PROFILE, Params, load_params
@@ -238,7 +239,8 @@ class IdentificationQuestion:
         doubts: list[Note] = []
         tolerant: Mapping[str, Tolerant] = {}
         if self.tested is not None:
-            fit = tested(self.recording, *self.tested, minutes_max=self.settings.discover.minutes_max)
+            with deciding_by(self.settings):
+                fit = tested(self.recording, *self.tested, minutes_max=self.settings.discover.minutes_max)
             doubts, tolerant = list(fit.notes), fit.health
             if fit.shown:
                 words = " and ".join(circumstance_words(found_circumstance(item)) for item in fit.shown)

@@ -32,8 +32,8 @@ from dieseltwin.recordings.shared_rows import distinct, refuse_overlapping
 from dieseltwin.report import quantities
 from dieseltwin.report.discovery_words import magnitude_words
 from dieseltwin.report.learned import corrections
+from dieseltwin.settings.defaults import default_learn
 from dieseltwin.settings.names import refuse_options
-from dieseltwin.settings.params import default_learn
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

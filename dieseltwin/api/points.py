@@ -289,13 +289,13 @@ def ask(
         if name not in STATES:
             raise unknown_name("--sensors", name, list(STATES))
     question.check(EFFECTS, search.withhold)
-    options = Options(sensors or None, tuple(question.withhold or ()), question.seed, search=search)
+    options = Options(sensors or None, tuple(question.withhold or ()), question.random_seed, search=search)
     source = settled_points(points, channels, geometry, NEEDED)
     if isinstance(engine, str | Path) and not question.reference:
         source = replace(source, notes=(*source.notes, *other_points(Path(engine), source)))
     well = [settled_points(reference, channels, geometry, NEEDED) for reference in question.reference]
     used = beside_reference(source, well) if well else source
-    return PointsQuestion(used, base, geometry, question.seed, options)
+    return PointsQuestion(used, base, geometry, question.random_seed, options)
 
 
 # --- imply

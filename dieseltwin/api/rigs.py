@@ -145,11 +145,11 @@ def ask(
     search, withhold = question.settings.search.rigs, tuple(question.withhold or ())
     question.check(rig.effects)
     asked = {
-        "withhold": list(withhold), "seed": question.seed, "code_version": __version__,
+        "withhold": list(withhold), "seed": question.random_seed, "code_version": __version__,
         "engine_sha256": sha256(rig.model_dump_json().encode()).hexdigest(),
         "search_sha256": params_sha256(search.model_dump(mode="json")), "channels_sha256": channels_sha256(channels),
     }  # fmt: skip
-    options = Options(withhold, question.seed, search=search)
+    options = Options(withhold, question.random_seed, search=search)
     return RigQuestion(rig_recording(recording, rig, all_readings=True), rig, options, asked)
 
 

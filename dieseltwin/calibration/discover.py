@@ -42,7 +42,7 @@ from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.engine.parameters import EngineParameters
 from dieseltwin.engine.terms import OneTerm, SensorTerm, Term, corrections_in, law_terms, with_corrections
 from dieseltwin.recordings.steady_points import STATES
-from dieseltwin.settings.params import default_search
+from dieseltwin.settings.defaults import default_search
 from dieseltwin.settings.search import PointSettings, SearchSettings, SubmodelErrors
 
 Array = NDArray[np.float64]

@@ -12,14 +12,14 @@ from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, f
 from dieseltwin.discovery.likelihood.metric import Whitening
 from dieseltwin.discovery.likelihood.score import effects_beside, score, secant_sizes
 from dieseltwin.discovery.search.preparation import split_growing, tolerance_responses
-from dieseltwin.discovery.twins.diesel import MAP_TOLERANCE, EngineTwin
+from dieseltwin.discovery.twins.diesel import EngineTwin
 from dieseltwin.engine import HEALTH, EngineParameters
 from dieseltwin.engine.limited import Limited
 from dieseltwin.engine.map_corrections import basis, look_up
 from dieseltwin.engine.terms import Term, with_corrections
 from dieseltwin.recordings.noise import Noise, estimate_noise
 from dieseltwin.recordings.reader import Recording
-from dieseltwin.settings.params import default_search
+from dieseltwin.settings.defaults import default_search
 
 MAPS_MET = 5e-4
 """Standard deviation of what is left of a plant's maps in `with_plant_maps` [-]."""
@@ -62,7 +62,7 @@ def held_out_nll(engine: EngineParameters, recording: Recording) -> float:
 
 
 def fit_oracle(
-    recording: Recording, engine: EngineParameters, terms: tuple[Term, ...], map_tolerance: float = MAP_TOLERANCE
+    recording: Recording, engine: EngineParameters, terms: tuple[Term, ...], map_tolerance: float | None = None
 ) -> EngineParameters:
     """Health parameters and magnitudes refitted by someone who knows the effects' form, started at the truth.
 
@@ -108,7 +108,7 @@ def with_plant_maps(engine: EngineParameters, maps: MapErrors) -> EngineParamete
 
 
 def separability(
-    recording: Recording, engine: EngineParameters, term: Term, map_tolerance: float = MAP_TOLERANCE
+    recording: Recording, engine: EngineParameters, term: Term, map_tolerance: float | None = None
 ) -> dict[str, float]:
     """D of every other catalogue effect at the truth: what it would leave of the true effect's evidence.
 

@@ -30,7 +30,7 @@ from dieseltwin.errors import InputError
 from dieseltwin.paths import file_sha256
 from dieseltwin.recordings.reader import Recording, read_recording
 from dieseltwin.sealed import opened_json, read_json, sealed_json
-from dieseltwin.settings.params import default_search
+from dieseltwin.settings.defaults import default_search
 
 _SCORER = (
     *(f"challenge/{name}.py" for name in (

@@ -35,7 +35,8 @@ def discover_command(
         typer.Argument(
             metavar="RECORDING...",
             callback=readable,
-            help="Recording of a running engine (CSV, MDF, ...), 10 min or more; several are judged together.",
+            help="Recording of a running engine (CSV, MDF, ...): 60 s at least, error rates hold for 10 min; several "
+            "are judged together.",
         ),
     ] = None,
     engine: EngineFile = None,
@@ -46,7 +47,7 @@ def discover_command(
     ] = None,
     map_tolerance: Annotated[
         float | None,
-        typer.Option("--map-tolerance", metavar="X", help="Smooth error believed of the maps; else the settings'."),
+        typer.Option("--map-tolerance", metavar="X", help="Smooth error believed of the maps; default: the settings'."),
     ] = None,
     name: Annotated[
         str | None,
@@ -54,7 +55,9 @@ def discover_command(
             "--explain", metavar="NAME", help="Say why an effect was or wasn't chosen; reads DIR where it can."
         ),
     ] = None,
-    seed: Annotated[int, typer.Option("--seed", metavar="N", help="Seed of everything random.")] = 0,
+    seed: Annotated[
+        int | None, typer.Option("--seed", metavar="N", help="Seed of everything random instead of the settings'.")
+    ] = None,
     reference: Annotated[
         list[Path] | None,
         typer.Option(
@@ -66,7 +69,7 @@ def discover_command(
     ] = None,
     time_s: Annotated[
         float | None,
-        typer.Option("--time", metavar="S", help="Seconds after which the best answer so far is given; no limit."),
+        typer.Option("--time", metavar="S", help="Seconds for the best answer so far; default: no limit."),
     ] = None,
     params: ParamsFile = None,
     profile: Profile = "quick",
@@ -77,6 +80,7 @@ def discover_command(
     from dieseltwin.api.discovery import ask
     from dieseltwin.api.findings import Asked
     from dieseltwin.discovery.verdict.explain import explain
+    from dieseltwin.settings.defaults import deciding_by
     from dieseltwin.settings.params import load_params
 
     if not recordings:
@@ -84,11 +88,13 @@ def discover_command(
             raise InputError("RECORDING", "nothing", "a recording", "name the recording")
         say(explain(name, out))
         return
-    settings = load_params(params, profile).discover
-    asked = Asked(names(sensors), names(withhold), map_tolerance, seed, tuple(reference or ()), settings, time_s, name)
-    question = ask(tuple(recordings), engine, channels, asked)
-    answered = name is not None and question.answered_in(out)
-    warnings = [] if answered else _answer(question, out, pdf)
+    settings = load_params(params, profile)
+    asked = Asked(names(sensors), names(withhold), map_tolerance, seed, tuple(reference or ()), settings.discover,
+                  time_s, name)  # fmt: skip
+    with deciding_by(settings):
+        question = ask(tuple(recordings), engine, channels, asked)
+        answered = name is not None and question.answered_in(out)
+        warnings = [] if answered else _answer(question, out, pdf)
     if name is not None:
         say([*([] if answered else [""]), *explain(name, out, question.catalogue)])
     strictly(strict, warnings)

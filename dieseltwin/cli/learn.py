@@ -12,6 +12,8 @@ from dieseltwin.cli.options import (
     YAML_ENDINGS,
     ChannelsFile,
     EngineFile,
+    ParamsFile,
+    Profile,
     check_apart,
     check_ending,
     progress,
@@ -35,7 +37,7 @@ def learn_command(
     channels: ChannelsFile = None,
     map_error: Annotated[
         float | None,
-        typer.Option("--map-error", metavar="X", help="Believed size of the maps' errors, rms; 0.02 of a family."),
+        typer.Option("--map-error", metavar="X", help="Believed rms of the maps' errors; default: 0.02, of a family."),
     ] = None,
     siblings: Annotated[
         list[Path] | None,
@@ -43,6 +45,8 @@ def learn_command(
             "--siblings", metavar="FILE", callback=readable_engines, help="Learned engine of the same type; repeatable."
         ),
     ] = None,
+    params: ParamsFile = None,
+    profile: Profile = "quick",
 ) -> None:
     """Learn an engine's own maps, health and sensors from ordinary driving; learning more later adds to the file.
 
@@ -54,8 +58,11 @@ def learn_command(
     progress("learning ...")
     from dieseltwin.api.learning import learn
     from dieseltwin.engine.learned_file import learned_beside
+    from dieseltwin.settings.defaults import deciding_by
+    from dieseltwin.settings.params import load_params
 
-    found = learn(recordings, engine, channels=channels, map_error=map_error, siblings=siblings or ())
+    with deciding_by(load_params(params, profile)):
+        found = learn(recordings, engine, channels=channels, map_error=map_error, siblings=siblings or ())
     found.save(out)
     beside = ", with the file beside it" if learned_beside(out).is_file() else ""
     say([*found.lines(), f"{out}: --engine takes it{beside}"])

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from dieseltwin.discovery.twins.diesel import MAP_TOLERANCE
-from dieseltwin.settings.params import default_search
+from dieseltwin.settings.defaults import default_discover, default_search
 from dieseltwin.settings.search import CircumstanceSettings, SearchSettings
 
 
@@ -25,7 +24,7 @@ class Options:
 
     sensors: tuple[str, ...] | None = None
     withhold: tuple[str, ...] = ()
-    map_tolerance: float = MAP_TOLERANCE
+    map_tolerance: float = field(default_factory=lambda: default_discover().map_tolerance)
     seed: int = 0
     law_search: bool = True
     search: SearchSettings = field(default_factory=lambda: default_search().driving)

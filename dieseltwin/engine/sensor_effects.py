@@ -1,4 +1,4 @@
-"""Effects on readings: offsets, gains and the lag of a thermocouple, after a simulation."""
+"""Effects on readings: offsets, gains and lags, after a simulation."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def undo_sensor_terms(
     Args:
         measured: (.., n, C) readings in the order of `MEASURED`.
         time_s: sample times, (n,) [s]; start_s: the recording's start; conditions: input columns, (n,) each.
-        parameters: with terms; a `thermocouple_lag` can't be undone and stays.
+        parameters: with terms; a lag can't be undone and stays.
     """
     def undone(term: Any) -> bool:
         slot = getattr(term, "slot", "")

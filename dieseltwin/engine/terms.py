@@ -96,8 +96,6 @@ SENSOR_UNITS = {sensor.column: sensor.symbol.unit for sensor in SENSORS}
 """Columns that a fault of a sensor can change, with their units."""
 
 LARGEST_GAIN = 10.0  # of a sensor's reading [-]; beyond it the column is in another unit
-LAGGING_SENSOR = "t_em_k"
-"""The one whose reading may lag (a sheathed thermocouple)."""
 
 _BY_ENTRY = {effect.enters: name for name, effect in EFFECTS.items() if effect.enters.through in ("reading", "command")}
 
@@ -112,7 +110,6 @@ SENSOR_SLOTS = tuple(
         sensor_slot(sensor, fault)
         for fault in ("lag", "gain", "offset")
         for sensor in SENSOR_UNITS
-        if fault != "lag" or sensor == LAGGING_SENSOR
     )
 )
 """All slots of faults of sensors, in the order in which they act."""
@@ -121,8 +118,8 @@ SENSOR_SLOTS = tuple(
 class SensorTerm(Limited):
     """A found fault of a sensor, whether or not the catalogue has a name for it.
 
-    reading (1 + magnitude) for a gain, reading + magnitude for an offset, a first-order lag of the reading of the
-    exhaust temperature; the lag acts first, then gains, then offsets.
+    reading (1 + magnitude) for a gain, reading + magnitude for an offset, a first-order lag of the reading (a sheathed
+    thermocouple, a long or sooted line to a pressure sensor); the lag acts first, then gains, then offsets.
     """
 
     sensor: str = Field(description="column of the reading")
@@ -135,8 +132,8 @@ class SensorTerm(Limited):
             raise ValueError(f"unknown sensor {self.sensor!r}; {close_names(self.sensor, SENSOR_UNITS)}")
         if self.fault == "gain" and not -1.0 < self.magnitude <= LARGEST_GAIN:
             raise ValueError(f"gain {self.magnitude:g}; allowed: above -1 (no reading is left) to {LARGEST_GAIN:g}")
-        if self.fault == "lag" and (self.sensor != LAGGING_SENSOR or self.magnitude < 0.0):
-            raise ValueError(f"a lag of {self.sensor} of {self.magnitude:g} s; allowed: of {LAGGING_SENSOR}, 0 or more")
+        if self.fault == "lag" and self.magnitude < 0.0:
+            raise ValueError(f"a lag of {self.sensor} of {self.magnitude:g} s; allowed: 0 or more")
         return self
 
     @property
@@ -147,7 +144,7 @@ class SensorTerm(Limited):
     @property
     def law(self) -> str:
         """The law in symbols."""
-        return {"gain": "reading (1 + g)", "offset": "reading + b", "lag": "tau dT/dt = T_em - T"}[self.fault]
+        return {"gain": "reading (1 + g)", "offset": "reading + b", "lag": "tau dy/dt = true - y"}[self.fault]
 
     @property
     def unit(self) -> str:

@@ -30,6 +30,8 @@ Array = np.ndarray
 
 _YEAR_D = 365.25
 _SURE = 0.9
+_EDGE = 1.645  # standard deviations of a one-sided 95 % limit
+_GONE = 0.5  # of the alarm's size: what is surely less is no longer there
 
 
 @dataclass(frozen=True)
@@ -71,8 +73,12 @@ class Alarm:
         others: names of further effects that have at least a tenth of the evidence.
         size, std: of it, at that recording [unit].
         grows: whether growth explains it better than one size since its beginning.
-        since: day of its beginning, most likely; earliest, latest: 90 % interval.
+        since: day of its beginning, most likely: the first recording that has it, or from which on it grows; earliest,
+            latest: 90 % interval.
         evidence: M.
+        sizes, stds: of it in every recording, against those before it began (against none: the reference) [unit]; NaN
+            where it wasn't scored.
+        gone: number of the recording from which on it isn't there any more, None where it is.
     """
 
     at: int
@@ -88,6 +94,9 @@ class Alarm:
     earliest: datetime
     latest: datetime
     evidence: float
+    sizes: Array
+    stds: Array
+    gone: int | None = None
 
 
 @dataclass(frozen=True)
@@ -146,7 +155,7 @@ def course(
     evidence = np.exp(np.minimum(logsumexp(np.stack([e.counted + weights for e in effects]), axis=(0, 2, 3)), 700.0))
     for at in np.flatnonzero(evidence >= threshold):
         weighted = np.stack([item.whole[at] + weights[at] for item in effects])
-        alarm = _alarm(int(at), effects, weighted, dates, float(evidence[at]), settings)
+        alarm = _alarm(int(at), effects, weighted, scores, dates, float(evidence[at]), settings)
         if alarm is not None:
             return Course(evidence, threshold, alarm)
     return Course(evidence, threshold, None)
@@ -196,8 +205,8 @@ def _log_ratio(mean: Array, std: Array, spread: Array, effect: Score) -> Array:
 
 
 def _alarm(
-    at: int, effects: Sequence[_OfEffect], weighted: Array, dates: Sequence[datetime], evidence: float,
-    settings: WatchConfig,
+    at: int, effects: Sequence[_OfEffect], weighted: Array, scores: Sequence[Sequence[Score]],
+    dates: Sequence[datetime], evidence: float, settings: WatchConfig,
 ) -> Alarm | None:  # fmt: skip
     """What the evidence (H, 2, K) after a recording says; None where its size is below what is of interest."""
     shares = np.exp(weighted - logsumexp(weighted))
@@ -212,8 +221,36 @@ def _alarm(
     edge = 0.5 * (1.0 - _SURE)
     early, late = (int(np.searchsorted(cumulated, level)) for level in (edge, 1.0 - edge))
     others = [effects[k].score.name for k in np.argsort(-of_effects) if k != best and of_effects[k] >= 0.1]
+    grows = kind == 1
+    sizes, stds = _sizes(lead.score.name, scores, day, settings)
+    # what is there from a recording on began since the one before; what grows from a recording on, with the one before
     return Alarm(
-        at, lead.score.name, lead.score.site, lead.score.unit, float(of_effects[best]), tuple(others), size, std,
-        kind == 1, dates[day], dates[max(early - 1, 0)], dates[min(late, at)], evidence,
+        at, lead.score.name, lead.score.site, lead.score.unit, float(of_effects[best]), tuple(others), size, std, grows,
+        dates[max(day - grows, 0)], dates[max(early - 1, 0)], dates[max(min(late, at) - grows, 0)], evidence, sizes,
+        stds, _gone(at, size, sizes, stds),
     )  # fmt: skip
+
+
+def _sizes(name: str, scores: Sequence[Sequence[Score]], day: int, settings: WatchConfig) -> tuple[Array, Array]:
+    """An effect's size in every recording, against the mean of those before a day, and its standard deviation."""
+    own = [next((score for score in some if score.name == name), None) for some in scores]
+    estimates, noise, shared = np.array([
+        (np.nan,) * 3 if s is None else (s.estimate, settings.inflation * s.noise_std, np.linalg.norm(s.shared))
+        for s in own
+    ]).T  # fmt: skip
+    before = np.flatnonzero(np.isfinite(estimates[:day]))
+    if not before.size:
+        return estimates, np.hypot(noise, shared)
+    weights = noise[before] ** -2.0
+    return estimates - np.average(estimates[before], weights=weights), np.sqrt(noise**2 + 1.0 / weights.sum())
+
+
+def _gone(at: int, size: float, sizes: Array, stds: Array) -> int | None:
+    """Number of the recording after the alarm from which on an effect surely has less than half of the alarm's size."""
+    absent = np.sign(size) * sizes + _EDGE * stds < _GONE * abs(size)
+    gone: int | None = None
+    for k in range(at + 1, len(sizes)):
+        if np.isfinite(sizes[k]):
+            gone = None if not absent[k] else k if gone is None else gone
+    return gone
 

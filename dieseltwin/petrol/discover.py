@@ -47,7 +47,7 @@ from dieseltwin.petrol.renewal import alike, leading, over_time
 from dieseltwin.petrol.sentence import found_words, sentence
 from dieseltwin.petrol.terms import without_terms
 from dieseltwin.petrol.twin import PetrolTwin
-from dieseltwin.settings.params import default_search
+from dieseltwin.settings.defaults import default_search
 from dieseltwin.settings.search import SearchSettings
 from dieseltwin.version import __version__
 

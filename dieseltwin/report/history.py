@@ -10,7 +10,7 @@ import pandas as pd
 from markupsafe import Markup
 
 from dieseltwin.engine import HEALTH
-from dieseltwin.learning.alarm import Course
+from dieseltwin.learning.alarm import Alarm, Course
 from dieseltwin.learning.history import Entry, TakenOut
 from dieseltwin.notes import counted
 from dieseltwin.report import quantities, style
@@ -41,13 +41,25 @@ def sentence(entries: Sequence[Entry], course: Course, alarms_per_year: float) -
     if alarm.earliest.date() != alarm.latest.date():
         perhaps = f" (at the earliest {alarm.earliest:{_DAY}}, at the latest {alarm.latest:{_DAY}})"
     # the evidence adds up linear estimates, which a strong fault bends; a recording's verdict was refitted
-    alone = "" if last == "healthy" or alarm.name in last else f"; the last recording by itself shows {last}"
+    expected = alarm.name in last.split(" or ") or (last == "healthy" and alarm.gone is None)
+    alone = "" if expected else f"; the last recording by itself shows {last}"
     return (
         f"Alarm with the recording of {entries[alarm.at].moment:{_DAY}}: in {site_words(alarm.site)} something has "
         f"changed, most likely {alarm.name} ({100 * alarm.share:.0f} % of the evidence){or_others}, about {size} by "
-        f"then, {way} {alarm.since:{_DAY}}{perhaps}{alone}; {span}; {rate}. "
+        f"then, {way} {alarm.since:{_DAY}}{perhaps}{_afterwards(alarm, entries)}{alone}; {span}; {rate}. "
         "`dieseltwin discover` on these recordings together says what it is."
     )
+
+
+def _afterwards(alarm: Alarm, entries: Sequence[Entry]) -> str:
+    """What became of the effect after its alarm; nothing where no recording came after it."""
+    if not np.isfinite(alarm.sizes[-1]) or alarm.at == len(entries) - 1:
+        return ""
+    now = magnitude_words(alarm.name, float(alarm.sizes[-1]), float(alarm.stds[-1]), alarm.unit, extra=False)
+    if alarm.gone is None:
+        return f", {now} in the last recording"
+    since = f"{entries[alarm.gone].moment:{_DAY}}"
+    return f"; since the recording of {since} it isn't there any more ({now} in the last one)"
 
 
 def without(taken_out: Sequence[TakenOut], with_them: Course) -> str:
@@ -151,7 +163,7 @@ def page(entries: Sequence[Entry], course: Course, said: str, taken_out: Sequenc
     words = ("Health is the change since the reference, ± one standard deviation. Dates are those of each recording's "
              f"{dates}.")
     return Page(
-        title="Alarm: the engine has changed" if course.alarm else "No change but wear",
+        title=_title(course.alarm),
         about=f"{len(entries)} recordings · {hours:.3g} h of running engine",
         headline=Markup(quantities.with_symbols(said)),
         alarm=course.alarm is not None,
@@ -162,6 +174,12 @@ def page(entries: Sequence[Entry], course: Course, said: str, taken_out: Sequenc
                             *_gone(taken_out))),
         ),
     )  # fmt: skip
+
+
+def _title(alarm: Alarm | None) -> str:
+    if alarm is None:
+        return "No change but wear"
+    return "Alarm: the engine has changed" if alarm.gone is None else "The engine had changed, and what it was is gone"
 
 
 def _gone(taken_out: Sequence[TakenOut]) -> tuple[Table, ...]:

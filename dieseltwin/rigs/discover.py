@@ -30,7 +30,7 @@ from dieseltwin.rigs.onsets import dated, first_onset
 from dieseltwin.rigs.parameters import LawFactor, RigLaw, RigParameters, RigTerm
 from dieseltwin.rigs.recording import RigRecording
 from dieseltwin.rigs.twin import RigTwin
-from dieseltwin.settings.params import default_search
+from dieseltwin.settings.defaults import default_search
 from dieseltwin.settings.search import RigSettings
 
 _PASSES = 4  # of a round: the misfit of an explanation says how large gains are, until the explanation stays

@@ -32,7 +32,6 @@ from dieseltwin.settings.evaluation import EvaluationConfig
 from dieseltwin.settings.maps import MapsConfig, Widths
 from dieseltwin.settings.method_settings import MethodSettings
 from dieseltwin.settings.methods import find
-from dieseltwin.settings.search import SearchConfig
 from dieseltwin.settings.strict import StrictModel, overridden, read_profile, validate
 from dieseltwin.settings.watch import WatchConfig
 
@@ -346,44 +345,6 @@ def _validated(path: Path, content: bytes, profile: str) -> Params:
     validate(Params, {**common, "profile": profile}, str(path))
     settings = overridden(common, overrides, f"{path}: profiles.{profile}")
     return validate(Params, {**settings, "profile": profile}, f"{path}: profile {profile}")
-
-
-def default_discover() -> DiscoverConfig:
-    """What a discovery decides by where no settings are given: the process's own, else `default_params_path()`'s."""
-    return _given().discover or load_params().discover
-
-
-def default_search() -> SearchConfig:
-    """The same of a search."""
-    return default_discover().search
-
-
-def default_learn() -> LearnConfig:
-    """The same of learning."""
-    return _given().learn or load_params().learn
-
-
-def default_watch() -> WatchConfig:
-    """The same of the alarm over a history."""
-    return _given().watch or load_params().watch
-
-
-class _Given(StrictModel):
-    """Sections that stand for the file's."""
-
-    discover: DiscoverConfig | None = None
-    learn: LearnConfig | None = None
-    watch: WatchConfig | None = None
-
-
-def _given() -> _Given:
-    """The sections that the process was given."""
-    return _validated_sections(os.environ.get(SECTIONS_VARIABLE, "{}"))
-
-
-@lru_cache(maxsize=8)
-def _validated_sections(text: str) -> _Given:
-    return validate(_Given, json.loads(text), SECTIONS_VARIABLE)
 
 
 def params_sha256(params: Params | Mapping[str, object]) -> str:

@@ -29,7 +29,7 @@ from dieseltwin.recordings.steady_points import STATES, SteadyPoints
 from dieseltwin.report.calibration import calibration_report
 from dieseltwin.report.page import write_page
 from dieseltwin.report.points import points_page, sentence
-from dieseltwin.settings.params import default_search
+from dieseltwin.settings.defaults import default_search
 from tests.calibration.simulated import FLAP, GEOMETRY, TRUTH, made_points
 
 

@@ -21,7 +21,7 @@ from dieseltwin.discovery.verdict.explained import disagreement
 from dieseltwin.engine.map_corrections import basis
 from dieseltwin.engine.terms import CorrectionTerm, corrections_in
 from dieseltwin.recordings.steady_points import STATES, beside_reference
-from dieseltwin.settings.params import default_search
+from dieseltwin.settings.defaults import default_search
 from tests.calibration.simulated import GEOMETRY, TRUTH, made_points, settle
 
 MAP_RMS = 0.02

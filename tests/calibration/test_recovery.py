@@ -20,7 +20,7 @@ from dieseltwin.discovery.twins.interface import Twin
 from dieseltwin.engine import we2011
 from dieseltwin.engine.engine_files import load_engine
 from dieseltwin.recordings.steady_points import read_points
-from dieseltwin.settings.params import default_search
+from dieseltwin.settings.defaults import default_search
 from tests.calibration.simulated import GEOMETRY, TRUTH, made_points
 
 ROOT = Path(__file__).resolve().parents[2]

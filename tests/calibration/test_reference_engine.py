@@ -15,7 +15,7 @@ from dieseltwin.calibration.reference_engine import about_reference, told_by_ref
 from dieseltwin.calibration.steady_model import MAP_MODE, SENSOR_ERROR, SteadyModel
 from dieseltwin.calibration.steady_twin import CHARGE, SteadyTwin
 from dieseltwin.recordings.steady_points import SteadyPoints, beside_reference
-from dieseltwin.settings.params import default_search
+from dieseltwin.settings.defaults import default_search
 from tests.calibration.simulated import GEOMETRY, TRUTH, made_points
 
 BLOW_BY = 0.035

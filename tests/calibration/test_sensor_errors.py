@@ -14,7 +14,7 @@ from dieseltwin.calibration.steady_model import SENSOR_ERROR
 from dieseltwin.calibration.steady_twin import SteadyTwin
 from dieseltwin.discovery.likelihood.fit import first_fit, prior_misfit
 from dieseltwin.recordings.steady_points import STATES
-from dieseltwin.settings.params import default_search
+from dieseltwin.settings.defaults import default_search
 from tests.calibration.simulated import GEOMETRY, TRUTH, made_points
 
 OFF = {"p_im_pa": 0.010, "p_em_pa": -0.013, "omega_t_rad_s": 0.008}

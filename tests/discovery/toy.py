@@ -7,7 +7,7 @@ import numpy as np
 from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, fit_fully
 from dieseltwin.discovery.likelihood.metric import Whitening
 from dieseltwin.discovery.twins.interface import Array, Hypothesis, Lanes, Parameter, Point, Twin, TwinDefaults
-from dieseltwin.settings.params import default_search
+from dieseltwin.settings.defaults import default_search
 
 STEP_S = 0.2
 SETTINGS = default_search().driving.model_copy(update={"sensor_gain": 0.0, "sensor_offset": 0.0})  # perfect sensors

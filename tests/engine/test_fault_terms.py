@@ -30,7 +30,7 @@ def _readings(*terms: Term | SensorTerm | ActuatorTerm) -> np.ndarray:
 
 def test_every_sensor_effect_has_a_slot_and_files_keep_the_terms(tmp_path) -> None:  # type: ignore[no-untyped-def]
     assert {name for name, effect in EFFECTS.items() if effect.enters.through == "reading"} <= set(SENSOR_SLOTS)
-    assert len({slot_parts(slot) for slot in SENSOR_SLOTS}) == len(SENSOR_SLOTS) == 2 * len(MEASURED) + 1
+    assert len({slot_parts(slot) for slot in SENSOR_SLOTS}) == len(SENSOR_SLOTS) == 3 * len(MEASURED)
     terms = (
         SensorTerm(sensor="omega_t_rad_s", fault="gain", magnitude=0.02, std=1e-3),
         ActuatorTerm(actuator="egr", fault="backlash", magnitude=4.0), LawTerm(point="W_t", coefficient=0.02, unit="-"),
@@ -45,7 +45,7 @@ def test_every_sensor_effect_has_a_slot_and_files_keep_the_terms(tmp_path) -> No
     "wrong",
     [
         {"sensor": "torque", "fault": "gain", "magnitude": 0.1},
-        {"sensor": "p_im_pa", "fault": "lag", "magnitude": 1.0},
+        {"sensor": "p_im_pa", "fault": "lag", "magnitude": -1.0},
         {"sensor": "p_im_pa", "fault": "gain", "magnitude": -1.5},
         {"actuator": "vgt", "fault": "lag", "magnitude": 1.0},
         {"actuator": "vgt", "fault": "dead_time", "magnitude": -0.1},

@@ -11,7 +11,7 @@ from dieseltwin.rigs.discover import Options, RigDiscovery, discover_rig
 from dieseltwin.rigs.parameters import load_rig
 from dieseltwin.rigs.recording import read_rig
 from dieseltwin.rigs.simulate import run_error
-from dieseltwin.settings.params import default_search
+from dieseltwin.settings.defaults import default_search
 
 ROOT = Path(__file__).parents[2]
 

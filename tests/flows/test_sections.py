@@ -14,7 +14,8 @@ from typing import Any
 
 import pytest
 
-from dieseltwin.settings.params import SECTIONS_VARIABLE, default_discover, default_search, load_params
+from dieseltwin.settings.defaults import default_discover, default_search
+from dieseltwin.settings.params import SECTIONS_VARIABLE, load_params
 from tasks import discover, ensembles, evaluate, identify, pretrain, promote, prove, report, simulate, watch
 from tasks.progress import Display
 from tasks.run_context import STEPS, RunContext, Step
@@ -112,7 +113,7 @@ def test_given_sections_stand_for_the_files_in_a_process_and_those_it_starts(mon
 
 
 def test_a_section_that_was_not_given_is_an_error_and_not_read(monkeypatch: pytest.MonkeyPatch) -> None:
-    from dieseltwin.settings.params import default_learn, default_watch
+    from dieseltwin.settings.defaults import default_learn, default_watch
 
     monkeypatch.setenv(SECTIONS_VARIABLE, "{}")
     for look_up in (default_discover, default_learn, default_watch, load_params):

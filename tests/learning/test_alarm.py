@@ -79,6 +79,24 @@ def test_a_leak_that_grows_is_told_from_one_that_begins():
     assert _found([0.0] * 12).alarm is None
 
 
+def test_growth_is_dated_to_the_recording_from_which_on_it_grows():
+    found = _found([0.0] * 5 + list(np.linspace(0.0, 90e-6, 7))).alarm  # nothing in the sixth, 15 mm2 in the seventh
+    assert found is not None and found.grows
+    assert found.since == dates(12, 1.0)[5]
+    assert found.earliest <= found.since <= found.latest
+
+
+def test_what_was_mended_is_gone():
+    found = _found([0.0] * 4 + [25e-6] * 4 + [0.0] * 3).alarm
+    assert found is not None and found.gone == 8
+    np.testing.assert_allclose(found.sizes, [0.0] * 4 + [25e-6] * 4 + [0.0] * 3, atol=4.0 * found.stds.max())
+    assert np.all((found.stds > NOISE) & (found.stds < 1.5 * NOISE))
+    stays = _found([0.0] * 4 + [25e-6] * 7).alarm
+    assert stays is not None and stays.gone is None
+    again = _found([0.0] * 4 + [25e-6] * 3 + [0.0] * 2 + [25e-6] * 2).alarm
+    assert again is not None and again.gone is None
+
+
 def test_one_odd_recording_is_no_alarm():
     sizes = [0.0] * 12
     sizes[6] = 500e-6

@@ -193,7 +193,7 @@ def test_dates_are_compared_as_moments():
 def test_an_alarm_says_where_the_last_recording_by_itself_says_another_name() -> None:
     entries = [entry(0), entry(1)]
     alarm = Alarm(1, "exhaust_leak", "exhaust_mass_balance", "m2", 1.0, (), 13e-6, 1e-6, True, entries[0].moment,
-                  entries[0].moment, entries[1].moment, 400.0)  # fmt: skip
+                  entries[0].moment, entries[1].moment, 400.0, np.array([0.0, 13e-6]), np.full(2, 1e-6))  # fmt: skip
     told = Course(np.array([0.3, 400.0]), 50.0, alarm)
     for verdict, said in (("boost_leak", True), ("healthy", False), ("exhaust_leak", False)):
         words = sentence([entries[0], replace(entries[1], verdict=verdict)], told, 0.02)
@@ -202,6 +202,21 @@ def test_an_alarm_says_where_the_last_recording_by_itself_says_another_name() ->
         assert f"by then, growing since {first} (at the earliest {first}, at the latest {second})" in words
     sure = replace(told, alarm=replace(alarm, latest=alarm.earliest))
     assert "at the latest" not in sentence(entries, sure, 0.02)
+
+
+def test_an_alarm_says_what_became_of_it() -> None:
+    entries = [entry(k) for k in range(4)]
+    sizes = np.array([0.0, 13e-6, 13e-6, 0.2e-6])
+    alarm = Alarm(1, "exhaust_leak", "exhaust_mass_balance", "m2", 1.0, (), 13e-6, 1e-6, False, entries[1].moment,
+                  entries[0].moment, entries[1].moment, 400.0, sizes, np.full(4, 1e-6), 3)  # fmt: skip
+    told = Course(np.full(4, 400.0), 50.0, alarm)
+    words = sentence(entries, told, 0.02)
+    assert f"since the recording of {entries[3].moment:%Y-%m-%d} it isn't there any more (0.2 ± 1.0 mm²" in words
+    there = replace(alarm, sizes=np.array([0.0, 13e-6, 13e-6, 15e-6]), gone=None)
+    both = replace(entries[3], verdict="exhaust_leak + w_c_gain")
+    words = sentence([*entries[:3], both], replace(told, alarm=there), 0.02)
+    assert "15.0 ± 1.0 mm² in the last recording" in words and "any more" not in words
+    assert "by itself shows exhaust_leak + w_c_gain" in words
 
 
 def test_what_is_taken_out_counts_no_more_is_kept_and_comes_back(tmp_path: Path) -> None:

@@ -4,16 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
 from dieseltwin.discovery.laws.grammar import Factor, Form, Kind, bumps, map_arguments, operators, unit_of
+from dieseltwin.discovery.laws.shapes import lagged
 from dieseltwin.discovery.likelihood.fit import Fit, Linearisation
 from dieseltwin.discovery.likelihood.known import KnownErrors
 from dieseltwin.discovery.likelihood.nuisance import signal_responses
 from dieseltwin.discovery.likelihood.score import spread, without_parameters
 from dieseltwin.discovery.twins.interface import Array, LawScope, Point, Twin, WithExactResponses, law_scope_of
 
+FaultKind = Literal["gain", "offset", "lag"]
+
+LAGS_S = (0.4, 2.0, 8.0)
+"""Lags of a reading that are scored by what they do, as at none they have no useful slope [s]."""
 _OF_SPEED = (2.0, 3.0)  # powers lost to bearings and to a fluid that is stirred
 _LOCAL_WIDTHS = (0.12,)  # of the range driven; the law search has finer ones
 _RAREST = 12.0  # largest value of a signal of unit mean square: what acts on fewer samples hangs on a moment
@@ -34,7 +40,7 @@ class Feature:
         text: the function in words.
         signal: (n,).
         site: word for the report.
-        channel: of the faulty sensor.
+        channel: of the faulty sensor; fault: what is wrong with it, and lag_s: behind which lag it was scored [s].
         form: the same as a law, None for a fault of a sensor.
         effect: hypothesis that says the same by name, where the twin has one.
         outward: it does so where the coefficient is negative: nothing flows in through a hole.
@@ -45,14 +51,16 @@ class Feature:
     signal: Array
     site: str
     channel: int | None = None
+    fault: FaultKind | None = None
+    lag_s: float = 0.0
     form: Form | None = None
     effect: str | None = None
     outward: bool = False
 
     @property
     def behind(self) -> bool:
-        """Whether only a positive coefficient means anything: nothing runs ahead of its own command."""
-        return self.form is not None and self.form.operator
+        """Whether only a positive coefficient means anything: nothing runs ahead of its cause."""
+        return self.fault == "lag" or (self.form is not None and self.form.operator)
 
 
 @dataclass(frozen=True)
@@ -75,7 +83,7 @@ class Structure:
 def generic_features(twin: Twin, fit: Fit) -> list[Feature]:
     """One constant per point, one proportional to each port, a hole to the surroundings where a balance has a pressure,
     losses of a shaft; dead time, lag and play of each actuator, lags of fuel and gas, which no function of the moment
-    comes near; offset and gain per sensor."""
+    comes near; offset and gain per sensor, and lags of those that may lag."""
     variables = {**twin.variables(fit.lanes()), "time_s": twin.time_s}
     scope = law_scope_of(twin)
     found = []
@@ -101,9 +109,12 @@ def generic_features(twin: Twin, fit: Fit) -> list[Feature]:
     ones = np.ones(twin.time_s.size)
     for j, name in enumerate(() if isinstance(twin, KnownErrors) else twin.channels):  # balances are no sensors
         site = f"sensor:{name}"
-        for text in ("offset", "gain"):
-            same = (h.name for h in twin.hypotheses.values() if h.site == site and h.name.endswith(f"_{text}"))
-            found.append(Feature(None, text, ones, site, j, effect=next(same, None)))
+        lags: tuple[float, ...] = LAGS_S if name in scope.lagging_sensors else ()
+        faults: list[tuple[FaultKind, float]] = [("offset", 0.0), ("gain", 0.0), *(("lag", lag) for lag in lags)]
+        for fault, lag_s in faults:
+            same = (h.name for h in twin.hypotheses.values() if h.site == site and h.name.endswith(f"_{fault}"))
+            text = f"lag {lag_s:g}" if fault == "lag" else fault
+            found.append(Feature(None, text, ones, site, j, fault, lag_s, effect=next(same, None)))
     return found
 
 
@@ -197,9 +208,16 @@ def _responses(at: Linearisation, features: Sequence[Feature]) -> Array:
         responses[inside] /= steps[:, None, None]
     for k, feature in enumerate(features):
         if feature.channel is not None:
-            j = feature.channel
-            responses[k, :, j] = at.simulated[:, j] if feature.text == "gain" else np.mean(at.simulated[:, j])
+            true = at.simulated[:, feature.channel]
+            responses[k, :, feature.channel] = _of_fault(feature, true, twin.time_s)
     return responses
+
+
+def _of_fault(feature: Feature, true: Array, time_s: Array) -> Array:
+    """Response of a reading (n,) to a unit of its fault; of a lag, in the middle between none and the scored one."""
+    if feature.fault == "lag":
+        return (lagged(true, time_s, feature.lag_s) - true) / feature.lag_s
+    return true if feature.fault == "gain" else np.full_like(true, np.mean(true))
 
 
 def _scored(at: Linearisation, features: Sequence[Feature], responses: Array) -> list[Structure]:

@@ -7,14 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
+from dieseltwin.discovery.laws.features import FaultKind
 from dieseltwin.discovery.laws.shapes import lagged
 from dieseltwin.discovery.twins.interface import Array, Lanes, Parameter, Twin
-
-FaultKind = Literal["gain", "offset", "lag"]
 
 LOOSE_GAIN = 1.0  # prior standard deviation of a gain; of an offset relative to the channel's mean: says nothing
 _LOOSE_LAG_S = 20.0
@@ -108,4 +106,4 @@ class ReadingTwin:
         return self.base.variables(self._base_lanes(lanes))
 
 
-__all__ = ["FaultKind", "ReadingFault", "ReadingTwin"]
+__all__ = ["ReadingFault", "ReadingTwin"]

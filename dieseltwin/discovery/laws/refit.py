@@ -10,9 +10,10 @@ import numpy as np
 
 from dieseltwin.discovery.laws.ranking import Ranked
 from dieseltwin.discovery.laws.twin import LawTwin, Placed, before, trajectories
-from dieseltwin.discovery.likelihood.fit import Fit, Linearisation, bounded, prior_precision, within_limits
+from dieseltwin.discovery.likelihood.fit import Fit, Linearisation, prior_precision, within_limits
 from dieseltwin.discovery.likelihood.nuisance import signal_responses
 from dieseltwin.discovery.likelihood.refit import scatter
+from dieseltwin.discovery.likelihood.windows import bounded
 from dieseltwin.discovery.twins.interface import Array, Lanes, Twin, repeated
 
 _ROUNDS = 12
@@ -161,9 +162,7 @@ class _Slopes:
 
     def local(self, twin: Twin, local: Array, residual: Array, change: Array, shrink: float) -> Array:
         rest = residual - np.tensordot(change / shrink, self.columns, 1)
-        if self.at.nuisance_response is not None:
-            rest = rest - np.tensordot(self.at.metric.nuisance_estimate(rest), self.at.nuisance_response, 1)
-        return bounded(twin, local + shrink * self.at.metric.local_step(rest))
+        return bounded(twin, local + shrink * self.at.metric.local_step(self.at.without_nuisances(rest)))
 
 
 def _refit_inside(twin: Twin, at: Linearisation, before: float, item: Ranked) -> Refit:

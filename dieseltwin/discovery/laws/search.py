@@ -282,8 +282,7 @@ def _report(
         for r in refits[1:]
         if best.score - r.score < _RIVALS
     )
-    argument = form.variables[0] if form.variables else point.ports[0]
-    argument = form.factors[0].variables[0] if form.factors else argument
+    argument = form.factors[0].variables[0] if form.factors else point.ports[0]
     last = tuple(
         _as_found(q, float(c), s) for q, (c, s) in zip(law.laws, law.values(lin.fit.parameters), strict=True)
     )

@@ -8,9 +8,9 @@ from typing import cast
 
 import numpy as np
 
-from dieseltwin.discovery.laws.features import Structure
+from dieseltwin.discovery.laws.features import FaultKind, Structure
 from dieseltwin.discovery.laws.final_fit import Tolerances, about_itself
-from dieseltwin.discovery.laws.reading_twin import FaultKind, ReadingFault, ReadingTwin
+from dieseltwin.discovery.laws.reading_twin import ReadingFault, ReadingTwin
 from dieseltwin.discovery.laws.refit import Refit
 from dieseltwin.discovery.laws.search import Law, LawSearch, Rival
 from dieseltwin.discovery.likelihood.fit import Fit, Linearisation, fit_fully
@@ -22,7 +22,7 @@ _SCREENED = 0.3  # of the best linear gain inside the machine: points with less 
 _LEAST_POINTS = 4  # are looked at in any case
 _ROUNDS = 8
 _RIVALS = 9.0  # 2 delta log-likelihood within which two laws can't be told apart (docs/discovery.md)
-_LAGS_S = (0.2, 1.0)  # where a lag's fit begins: at none it has no useful slope
+_LAGS_S = (0.2, 1.0)  # where a lag's fit begins, too: what a long one does isn't linear
 _RESOLVED = 6.0  # score that a fault must reach over no law
 
 
@@ -32,17 +32,14 @@ def faults_of(
     """Faults of sensors worth a refit, by their linear gains: those of a scored `features.generic_features`, from a
     time on [s]."""
     sensors = [item for item in structure if item.feature.channel is not None]
-    if not sensors:
-        return []
-    out = []
-    for item in sensors[:_MOST]:
+    found: dict[tuple[int, FaultKind], float] = {}
+    for item in sensors:
+        channel, kind = cast(int, item.feature.channel), cast(FaultKind, item.feature.fault)
         if item.gain >= _WITHIN * sensors[0].gain:
-            kind: FaultKind = "gain" if item.feature.text == "gain" else "offset"
-            size = item.coefficient  # an offset's is relative to the simulated mean
-            if kind == "offset":
-                size *= float(np.max(np.abs(item.response)))
-            out.append(ReadingFault(channels[cast(int, item.feature.channel)], kind, size, None, since_s))
-    return out
+            # an offset's coefficient is relative to the simulated mean
+            size = float(np.max(np.abs(item.response))) if kind == "offset" else 1.0
+            found.setdefault((channel, kind), item.coefficient * size)
+    return [ReadingFault(channels[at], kind, size, None, since_s) for (at, kind), size in list(found.items())[:_MOST]]
 
 
 def near_the_best(structure: Sequence[Structure], twin: Twin) -> tuple[str, ...] | None:
@@ -101,7 +98,7 @@ class FaultFit:
 def sensor_fault(
     twin: Twin, at: Linearisation, faults: Sequence[ReadingFault], since_s: float | None = None
 ) -> FaultFit | None:
-    """The fault of a sensor that explains most of what is left of a fit; lags of sensors that may lag (`LawScope`) too.
+    """The fault of a sensor that explains most of what is left of a fit.
 
     Args:
         twin: without it.
@@ -112,9 +109,9 @@ def sensor_fault(
     Returns:
         None where none is resolved.
     """
-    lagging = [name for name in law_scope_of(twin).lagging_sensors if name in twin.channels]
-    lags = (ReadingFault(name, "lag", size, None, since_s) for name in lagging for size in _LAGS_S)
-    fits = list(_fitted(twin, at, [*faults, *lags], at.fit))
+    tried = [fault for fault in faults if fault.kind != "lag"]
+    tried += [replace(fault, size=size) for fault in faults if fault.kind == "lag" for size in (fault.size, *_LAGS_S)]
+    fits = list(_fitted(twin, at, tried, at.fit))
     if not fits:
         return None
     fits.sort(key=lambda item: item[0])

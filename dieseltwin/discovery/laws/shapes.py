@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from dieseltwin.discovery.twins.interface import Array
+from dieseltwin.engine._compiled import follow_lanes
 from dieseltwin.engine.nozzle import choking_quotient, nozzle_flow_factor
 from dieseltwin.inner import kernel
 
@@ -29,19 +30,8 @@ def signed_power(x: Any, exponent: Any) -> Any:
 
 def lagged(values: Array, time_s: Array, constant: float) -> Array:
     """First-order lag [s] of samples, linear between them."""
-    step = np.diff(time_s)
-    decay = np.exp(-step / max(constant, 1e-9))
-    mean = (1.0 - decay) * constant / step
-    return np.asarray(_follow(np.ascontiguousarray(values, dtype=np.float64), decay, mean))
-
-
-@kernel()
-def _follow(values, decay, mean):  # type: ignore[no-untyped-def]
-    out = values.copy()
-    for k in range(1, len(values)):
-        decayed, held = decay[k - 1], mean[k - 1]
-        out[k] = decayed * out[k - 1] + (held - decayed) * values[k - 1] + (1.0 - held) * values[k]
-    return out
+    rows = np.ascontiguousarray(values, dtype=np.float64)[None]
+    return np.asarray(follow_lanes(np.ascontiguousarray(time_s), rows, np.full_like(rows, constant))[0])
 
 
 def played(values: Array, width: float) -> Array:

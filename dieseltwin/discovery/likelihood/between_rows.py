@@ -101,9 +101,7 @@ def widened(at: Linearisation, noise: Noise, scatter: ModelScatter) -> tuple[Mod
         The scatter with these factors, and (W,) windows in which no believable factor is enough, at most a third of
         all: rows as slow as these don't tell what happened there.
     """
-    residual = np.nan_to_num(at.residual)
-    if at.nuisance_response is not None:
-        residual = residual - np.tensordot(at.metric.nuisance_estimate(residual), at.nuisance_response, 1)
+    residual = at.without_nuisances(np.nan_to_num(at.residual))
     apart = Whitening.of(at.twin.measured, noise, at.twin.starts, replace(scatter, windows=(), bent=()))
     left = apart.apply(residual[None])[0]
     prior = (_FREEDOM + 2.0) * np.log(_FACTORS) + _FREEDOM / _FACTORS

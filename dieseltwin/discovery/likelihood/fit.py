@@ -9,12 +9,12 @@ from functools import partial
 import numpy as np
 
 from dieseltwin.discovery.likelihood.metric import Metric, WhitenedNuisances, Whitening, covariance_of
+from dieseltwin.discovery.likelihood.windows import bounded, settled_windows
 from dieseltwin.discovery.time_limit import check_time
-from dieseltwin.discovery.twins.interface import Array, Lanes, Strained, Twin, repeated, rows_of, single
+from dieseltwin.discovery.twins.interface import Array, Lanes, Strained, Twin, repeated, single
 
 _DIFFERENCE = 1e-4  # of a scale, for sensitivities
 _TOLERANCE_DIFFERENCE = 0.02  # of an effect's tolerance: small against what matters, large against rounding
-_LOCAL_SETTLED = 1e-3  # of a state's scale
 _STEP_LIMIT = 2.0  # parameter scales in one step
 _SHORTER_STEPS = 5
 _SHORTENED = 0.35  # a step after one that led uphill
@@ -234,9 +234,14 @@ class Linearisation:
     def local_step(self, change: Array) -> Array:
         """Change of the initial states that goes with a change of parameters and magnitudes, (W, S)."""
         rest = np.nan_to_num(self.residual) - np.tensordot(change, self.jacobian, 1)
-        if self.nuisance_response is not None:
-            rest = rest - np.tensordot(self.metric.nuisance_estimate(rest), self.nuisance_response, 1)
-        return self.metric.local_step(rest)
+        return self.metric.local_step(self.without_nuisances(rest))
+
+    def without_nuisances(self, residual: Array) -> Array:
+        """A residual (n, C) without what tolerances most likely are of it."""
+        if self.nuisance_response is None:
+            return residual
+        taken: Array = np.tensordot(self.metric.nuisance_estimate(residual), self.nuisance_response, 1)
+        return residual - taken
 
 
 def prior_precision(twin: Twin, effects: int) -> Array:
@@ -258,15 +263,6 @@ def within_limits(twin: Twin, parameters: Array, names: Sequence[str], magnitude
     lowest = np.where(positive, np.maximum(values - 4 * spans, 0.2 * values), values - 4 * spans)
     parameters = np.clip(parameters, lowest, values + 4 * spans)
     return parameters, np.clip(magnitudes, limits[:, 0], limits[:, 1])
-
-
-def bounded(twin: Twin, local: Array) -> Array:
-    """Initial states (W, S) kept near what the readings say, where the twin says how near (`local_limits`).
-
-    Far from the truth a step of the parameters drags initial states into other basins, from where no step leads back.
-    """
-    limits = twin.local_limits()
-    return local if limits is None else np.clip(local, *limits)
 
 
 def fit_fully(
@@ -359,35 +355,18 @@ def _trial(here: Linearisation, step: Array, share: float, *, local: bool) -> Fi
 def settle_local(at: Linearisation, rounds: int = 3) -> Linearisation:
     """Initial states at their minimum, window by window, at fixed parameters; the linearisation there.
 
-    The metric takes initial states out linearly. In a window that is nearly unstable a full linear step overshoots, and
-    the objective would promise what no simulation keeps: so each window's own misfit decides on its step.
+    The metric takes initial states out linearly: without it the objective would promise what no simulation keeps.
     """
-    twin, whitening = at.twin, at.whitening
-    fit, residual = at.fit, np.nan_to_num(at.residual)
-    shift = np.zeros_like(residual)
-    if at.nuisance_response is not None:
-        shift = np.tensordot(at.metric.nuisance_estimate(residual), at.nuisance_response, 1)
-    cost = at.metric.window_costs(residual - shift)
-    shrink = np.ones(len(cost))
-    moved = False
-    for _ in range(rounds):
-        step = at.metric.local_step(residual - shift)
-        if not np.any(np.abs(step) > _LOCAL_SETTLED * twin.state_scales):
-            break
-        trial = replace(fit, local=bounded(twin, fit.local + shrink[:, None] * step))
-        simulated = twin.simulate(lanes_of([trial]))[0]
-        new_residual = np.nan_to_num(twin.measured - simulated)
-        new_cost = at.metric.window_costs(new_residual - shift)
-        better = new_cost < cost
-        fit = replace(fit, local=np.where(better[:, None], trial.local, fit.local))
-        rows = rows_of(twin, better)
-        residual = np.where(rows[:, None], new_residual, residual)
-        cost = np.where(better, new_cost, cost)
-        shrink = np.where(better, np.minimum(1.0, 2.0 * shrink), 0.3 * shrink)
-        moved = True
-    if not moved:
+    def residual_at(local: Array) -> Array:
+        return np.nan_to_num(at.twin.measured - at.twin.simulate(lanes_of([replace(at.fit, local=local)]))[0])
+
+    residual = np.nan_to_num(at.residual)
+    elsewhere = residual - at.without_nuisances(residual)
+    local, _ = settled_windows(at.twin, at.metric, at.fit.local, residual, elsewhere, residual_at, rounds)
+    if local is at.fit.local:
         return at
-    return _marked(Linearisation(twin, whitening, fit, None, at.nuisance_response, at.loadings), at.fit.converged)
+    fit = replace(at.fit, local=local)
+    return _marked(Linearisation(at.twin, at.whitening, fit, None, at.nuisance_response, at.loadings), fit.converged)
 
 
 def _marked(at: Linearisation, converged: bool) -> Linearisation:

@@ -10,8 +10,9 @@ constant that all hypotheses share.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
+from hashlib import sha256
 from itertools import pairwise
 
 import numpy as np
@@ -31,11 +32,15 @@ class ModelScatter:
         readings: (n, C) variance of each reading, uncorrelated; None for nothing.
         windows: of each window of r rows the covariance (r C, r C) of its readings, row by row; none for nothing.
         bent: (window, the same of it) of those in which errors of maps don't act linearly, beside `windows`.
+        factors: what was last worked out of it, by the noise: a search asks some thirty times for the same.
     """
 
     readings: Array | None = None
     windows: tuple[Array, ...] = ()
     bent: tuple[tuple[int, Array], ...] = ()
+    factors: dict[bytes, tuple[tuple[slice, Array], ...]] = field(
+        init=False, default_factory=dict, compare=False, repr=False
+    )
 
     def by_window(self) -> dict[int, Array]:
         """Window -> covariance of its readings (r C, r C), of the windows that have one."""
@@ -77,11 +82,15 @@ class Whitening:
         tied = scatter.by_window()
         if not tied:
             return apart
-        lower = []
-        for block, spread in apart.whitened(starts[list(tied)], list(tied.values())):
-            factor = cholesky(np.eye(len(spread)) + spread, lower=True)
-            lower.append((block, solve_triangular(factor, np.eye(len(spread)), lower=True)))
-        return cls(present, previous, scale, tuple(lower))
+        key = sha256(previous.tobytes() + scale.tobytes()).digest()
+        if key not in scatter.factors:
+            lower = []
+            for block, spread in apart.whitened(starts[list(tied)], list(tied.values())):
+                factor = cholesky(np.eye(len(spread)) + spread, lower=True)
+                lower.append((block, solve_triangular(factor, np.eye(len(spread)), lower=True)))
+            scatter.factors.clear()
+            scatter.factors[key] = tuple(lower)
+        return cls(present, previous, scale, scatter.factors[key])
 
     def whitened(self, starts: np.ndarray, windows: Sequence[Array]) -> Iterator[tuple[slice, Array]]:
         """Which readings each window holds, row by row, and its covariance (r C, r C) behind the noise's whitening.
@@ -92,13 +101,11 @@ class Whitening:
         """
         channels = self.present.shape[1]
         for start, covariance in zip(starts.tolist(), windows, strict=True):
-            size = len(covariance)
-            block = slice(start * channels, start * channels + size)
-            behind = np.eye(size)  # what `apply` does to these readings without `lower`
-            later = np.arange(channels, size)
-            behind[later, later - channels] = -self.previous.reshape(-1)[block][channels:]
-            behind *= self.scale.reshape(-1)[block][:, None] * self.present.reshape(-1)[block]
-            yield block, behind @ covariance @ behind.T
+            rows = slice(start, start + len(covariance) // channels)
+            apart = Whitening(self.present[rows], self.previous[rows], self.scale[rows])
+            half = apart.apply(covariance.reshape(-1, *apart.present.shape))
+            whole = apart.apply(half.T.reshape(-1, *apart.present.shape))
+            yield slice(start * channels, start * channels + len(covariance)), whole
 
     def apply(self, values: Array) -> Array:
         """(..., n, C) -> (..., n * C)."""

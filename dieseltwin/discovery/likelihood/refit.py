@@ -14,12 +14,12 @@ from dieseltwin.discovery.likelihood.fit import (
     Candidate,
     Fit,
     Linearisation,
-    bounded,
     prior_precision,
     simulate_fits,
     within_limits,
 )
 from dieseltwin.discovery.likelihood.metric import covariance_of
+from dieseltwin.discovery.likelihood.windows import bounded
 from dieseltwin.discovery.twins.interface import Array
 
 _CHORD_ROUNDS = 6
@@ -74,9 +74,7 @@ def refit_all(
             )
             moved = np.concatenate([parameters - fit.parameters, magnitudes - start])
             rest = residuals[k] - np.tensordot(moved / shrink[k], columns[k], 1)
-            if base.nuisance_response is not None:
-                rest = rest - np.tensordot(base.metric.nuisance_estimate(rest), base.nuisance_response, 1)
-            local = bounded(twin, fit.local + shrink[k] * base.metric.local_step(rest))
+            local = bounded(twin, fit.local + shrink[k] * base.metric.local_step(base.without_nuisances(rest)))
             trials.append(replace(fit, parameters=parameters, magnitudes=magnitudes, local=local))
         simulated = simulate_fits(twin, trials)
         new = np.nan_to_num(twin.measured[None] - simulated)

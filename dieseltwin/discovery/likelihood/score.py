@@ -158,6 +158,8 @@ def chance(at: Linearisation, scored: Sequence[Scored], seed: int) -> Chance:
     In the augmented space all of that is white, so a draw needs the Gram matrix of the hypotheses alone.
     """
     units, signs = [], []
+    if not any(np.any(item.projected) for item in scored):  # a tank that never overflows shows no overflow
+        return Chance(np.zeros(1), 0.0)
     for item in scored:
         norm = np.sqrt(item.projected @ item.projected)
         if norm > 0:

@@ -20,7 +20,7 @@ from dieseltwin.discovery.twins.interface import Array, Lanes
 from dieseltwin.engine import EngineParameters
 from dieseltwin.recordings.circumstances import DRIFT, TIME_SHIFT, Circumstance
 from dieseltwin.recordings.reader import Recording
-from dieseltwin.settings.params import default_search
+from dieseltwin.settings.defaults import default_search
 
 _FAR = 0.6  # of a prior's standard deviation (5 kPa, 9 K): nearer weather is left to the fit of all recordings
 _NEAR = 0.15  # of a prior's standard deviation (1.2 kPa, 2 K, 0.02 s): farther, responses are others

@@ -27,8 +27,8 @@ from dieseltwin.learning.domain import domain_of
 from dieseltwin.learning.files import LearnedEngine
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.recordings.shared_rows import distinct
+from dieseltwin.settings.defaults import default_learn
 from dieseltwin.settings.discovery import LearnConfig
-from dieseltwin.settings.params import default_learn
 
 _NEAR = 0.02  # of -2 log posterior that a step promises, when the noise is estimated from what is left
 _ROUNDS = 12

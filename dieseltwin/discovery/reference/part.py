@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dieseltwin.discovery.likelihood.between_rows import noise_beside, scatter_about
-from dieseltwin.discovery.likelihood.fit import bounded, first_fit, fit_fully, parameter_lanes
+from dieseltwin.discovery.likelihood.fit import first_fit, fit_fully, parameter_lanes
 from dieseltwin.discovery.likelihood.learned import map_columns, running_away
 from dieseltwin.discovery.likelihood.metric import Metric, WhitenedNuisances, Whitening
 from dieseltwin.discovery.likelihood.score import effects_beside, secant_sizes
+from dieseltwin.discovery.likelihood.windows import bounded, settled_windows
 from dieseltwin.discovery.reference.conditions import Clock, Conditions, recorded_twin
 from dieseltwin.discovery.search.preparation import split_growing
 from dieseltwin.discovery.twins.interface import Array, rows_of, single
@@ -22,8 +23,6 @@ from dieseltwin.recordings.reader import Recording
 
 _ROUGH_ROUNDS = 5
 _SETTLING_ROUNDS = 3
-_SETTLED = 1e-3  # of a state's scale
-_SHORTER = 0.4
 _DRAWS = 2
 _CROOKED = 3.0  # squared whitened distance of a window from linear, by one draw of what is believed then
 _MOST_CROOKED = 1.0 / 3.0
@@ -205,21 +204,9 @@ class Part:
 
     def settled(self, here: Linear, x: Array, local: Array) -> tuple[Array, Array]:
         """Initial states at their minimum, each window by itself, and the residual there."""
-        metric, residual = here.metric, self.residual(x, local)
-        elsewhere = here.elsewhere(residual)
-        cost, shrink = metric.window_costs(residual - elsewhere), np.ones(len(local))
-        for _ in range(_SETTLING_ROUNDS):
-            step = metric.local_step(residual - elsewhere)
-            if not np.any(np.abs(step) > _SETTLED * self.twin.state_scales):
-                break
-            trial = bounded(self.twin, local + shrink[:, None] * step)
-            moved = self.residual(x, trial)
-            costs = metric.window_costs(moved - elsewhere)
-            better = costs < cost
-            local = np.where(better[:, None], trial, local)
-            residual = np.where(rows_of(self.twin, better)[:, None], moved, residual)
-            cost, shrink = np.where(better, costs, cost), np.where(better, 1.0, _SHORTER * shrink)
-        return local, residual
+        residual = self.residual(x, local)
+        return settled_windows(self.twin, here.metric, local, residual, here.elsewhere(residual),
+                               lambda there: self.residual(x, there), _SETTLING_ROUNDS)  # fmt: skip
 
     def crooked(self, here: Linear, x: Array, covariance: Array, rng: np.random.Generator) -> np.ndarray:
         """(W,) windows in which draws of what is believed now, (D, D) about x, don't act linearly."""

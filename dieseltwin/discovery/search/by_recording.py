@@ -19,6 +19,7 @@ from dieseltwin.discovery.likelihood.refit import refit_all
 from dieseltwin.discovery.likelihood.score import best_of_each
 from dieseltwin.discovery.search.preparation import prepare
 from dieseltwin.discovery.search.state import Search
+from dieseltwin.discovery.search.variant_fits import in_order
 from dieseltwin.discovery.search.variants import Variant
 from dieseltwin.discovery.twins.interface import Array, OverRecordings, Twin
 from dieseltwin.settings.search import SearchSettings
@@ -92,7 +93,7 @@ def refitted(found: Search, starts: Sequence[Start]) -> tuple[Search, list[Start
         variant = Variant(
             start.name, None, None, start.schedule, response, found.gain(fit), profile=start.profile
         )
-        found.variants = sorted([*found.variants, (variant, fit)], key=lambda pair: pair[1].objective)
+        found.variants = in_order(found, [*found.variants, (variant, fit)])
     return found, [
         replace(start, parameters=fit.parameters, magnitude=float(fit.magnitudes[0]), local=fit.local)
         for start, fit in ended[:_LEADING]

@@ -216,7 +216,9 @@ def _rival(found: Search, at: Linearisation, enough: float) -> float:
         timed = scan(found.null, found.scored, 1, found.settings.least_share)
         gain = max(gain, *(item.gain - found.gain(at.fit) for item in timed), 0.0)
     if gain < enough:
-        gain = max(gain, *(item.held for item in score_features(at, generic_features(found.twin, at.fit))))
+        # a slow sensor is late as well: its lag is looked for where the clock that was found is tried without
+        terms = [feature for feature in generic_features(found.twin, at.fit) if feature.fault != "lag"]
+        gain = max(gain, *(item.held for item in score_features(at, terms)), 0.0)
     return gain
 
 

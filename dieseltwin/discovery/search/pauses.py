@@ -71,10 +71,7 @@ def likeliest_parts(gains: Array, edge_gain: float) -> np.ndarray:
 
 def left_by(at: Linearisation, fit: Fit) -> Array:
     """(n, C) what the simulation of a fit and the most likely errors of maps and sensors leave of the readings."""
-    left = np.nan_to_num(at.twin.measured - simulate_fits(at.twin, [fit])[0])
-    if at.nuisance_response is not None:
-        left = left - np.tensordot(at.metric.nuisance_estimate(left), at.nuisance_response, 1)
-    return left
+    return at.without_nuisances(np.nan_to_num(at.twin.measured - simulate_fits(at.twin, [fit])[0]))
 
 
 def _costs(at: Linearisation, fit: Fit, left: Array, schedules: Array) -> Array:

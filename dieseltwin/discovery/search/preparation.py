@@ -47,6 +47,7 @@ from dieseltwin.recordings.noise import Noise, estimate_noise
 from dieseltwin.settings.search import SearchSettings
 
 _VERIFIED = 3  # of the leading fits
+_ALONE_ROUNDS = 6
 _VERIFIED_FROM = 0.7  # of the gain of an alarm
 _GROWTH = 1.0  # of the weight of initial states over a window, above which it is cut
 _PARTS = 4
@@ -280,3 +281,11 @@ def recentred(found: Search, fit: Fit) -> Linearisation:
     own = tolerances(twin, at, found.settings)
     responses = nuisance_responses(twin, at.fit.lanes(), at.simulated, own)
     return settle_local(fit_fully(twin, found.whitening, fit, responses, rounds=4, loadings=loadings_of(own)))
+
+
+def lower_without(found: Search, lead: Fit) -> Linearisation:
+    """The health-only fit, from where an effect's refit ended, where that is lower: what it failed to explain isn't the
+    effect's."""
+    start = replace(lead, candidate=Candidate(), magnitudes=np.zeros(0))
+    other = fit_fully(found.twin, found.whitening, start, rounds=_ALONE_ROUNDS, frozen=found.null)
+    return other if other.fit.objective < found.null.fit.objective else found.null

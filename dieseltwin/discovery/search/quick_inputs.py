@@ -42,9 +42,7 @@ def share_left(found: Search) -> float:
     if found.law is not None:
         twin, fit = found.law.on(found.twin)
         simulated = twin.simulate(fit.lanes())[0]
-    residual = np.nan_to_num(found.twin.measured - simulated)
-    if null.nuisance_response is not None:
-        residual = residual - np.tensordot(null.metric.nuisance_estimate(residual), null.nuisance_response, 1)
+    residual = null.without_nuisances(np.nan_to_num(found.twin.measured - simulated))
     measured = found.twin.measured
     noise = estimate_noise(measured, explained=measured - residual)
     whitening = Whitening.of(measured, noise, found.twin.starts, found.scatter)

@@ -18,7 +18,7 @@ from dieseltwin.discovery.likelihood.learned import belief_of
 from dieseltwin.discovery.search.explanations import leading_kind
 from dieseltwin.discovery.search.preparation import prepared_about
 from dieseltwin.discovery.search.state import Search
-from dieseltwin.discovery.search.variant_fits import scan_all, try_variants
+from dieseltwin.discovery.search.variant_fits import in_order, scan_all, try_variants
 
 BENDS = 60.0
 """Gain from which what was learned of the maps is linearised about the explanation."""
@@ -72,7 +72,7 @@ def _renew(found: Search, kind: str, lead: Fit) -> None:
     fresh.pairs = _by_objective(move(found.pairs))
     moved = move([fit for _, fit in found.variants])
     timed = [(variant, fit) for (variant, _), fit in zip(found.variants, moved, strict=True)]
-    fresh.variants = sorted(timed, key=lambda pair: pair[1].objective)
+    fresh.variants = in_order(fresh, timed)
     if kind == "variant":  # where and when it acts was read off bent maps
         fresh.scanned = scan_all(fresh.null, fresh.scored, found.settings.least_share)
         try_variants(fresh)

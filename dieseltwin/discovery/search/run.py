@@ -45,6 +45,7 @@ from dieseltwin.discovery.search.explanations import (
     try_pairs,
 )
 from dieseltwin.discovery.search.preparation import (
+    lower_without,
     prepare,
     prepared_about,
     recentred,
@@ -290,6 +291,8 @@ def _with_singles(found: Search, before: Sequence[Fit] = ()) -> Search:
     fits = [_unstuck(found, fit) if more else fit for more, fit in zip(promising, fits, strict=True)]
     found.singles = sorted(nearer(found.null, fits, before), key=lambda fit: fit.objective)
     found.singles = polish(found, found.singles)
+    if not found.null.fit.converged:
+        found.null = lower_without(found, found.singles[0])
     found.seconds["singles"] = time.perf_counter() - clock
     return found
 

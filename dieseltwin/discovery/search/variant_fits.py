@@ -111,7 +111,7 @@ def _try_parts(found: Search) -> None:
             start = replace(fit, candidate=candidate)
             variant, fit = other, fit_fully(found.twin, found.whitening, start, rounds=3, frozen=found.null).fit
             new.append((variant, fit))
-    found.variants = _in_order(found, [*found.variants, *new])
+    found.variants = in_order(found, [*found.variants, *new])
 
 
 def _all_along(twin: Twin, item: Scored) -> Variant:
@@ -158,7 +158,7 @@ def freedom_cost(found: Search, variant: Variant) -> float:
     return found.settings.variant_gain + edge_cost(variant)
 
 
-def _in_order(found: Search, pairs: Sequence[tuple[Variant, Fit]]) -> list[tuple[Variant, Fit]]:
+def in_order(found: Search, pairs: Sequence[tuple[Variant, Fit]]) -> list[tuple[Variant, Fit]]:
     """Variants with their fits, best first."""
     def cost(variant: Variant, fit: Fit) -> float:  # a large effect is never met exactly, least of all in a part
         inside = variant.until_s is not None and float(variant.onset_s or 0.0) > found.twin.time_s[0]
@@ -184,7 +184,7 @@ def _polish_variants(found: Search) -> None:
         fit_fully(found.twin, found.whitening, fit, rounds=3, frozen=found.null).fit for _, fit in leaders
     ]
     polished = [(variant, fit) for (variant, _), fit in zip(leaders, fits, strict=True)]
-    found.variants = _in_order(found, [*rest, *polished])
+    found.variants = in_order(found, [*rest, *polished])
 
 
 def _compare_leaders(found: Search) -> None:
@@ -195,7 +195,7 @@ def _compare_leaders(found: Search) -> None:
     compared = in_own_metrics(found, [fit for _, fit in leaders])
     same = {fit.candidate.names[0] for fit in compared}  # what they were beside has moved with them
     rest = [pair for pair in rest if pair[0].name not in same]
-    found.variants = _in_order(found, [*((variants[f.candidate.names[0]], f) for f in compared), *rest])
+    found.variants = in_order(found, [*((variants[f.candidate.names[0]], f) for f in compared), *rest])
 
 
 def _refit_variants(found: Search, variants: Sequence[Variant], near: Fit | None = None) -> None:
@@ -209,4 +209,4 @@ def _refit_variants(found: Search, variants: Sequence[Variant], near: Fit | None
         base = Linearisation(found.twin, found.whitening, near, found.null)
         response = base.jacobian[-1:]
         fits = refit_all(base, candidates, [response for _ in variants])
-    found.variants = _in_order(found, [*found.variants, *zip(variants, fits, strict=True)])
+    found.variants = in_order(found, [*found.variants, *zip(variants, fits, strict=True)])

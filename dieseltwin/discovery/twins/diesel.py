@@ -50,6 +50,7 @@ from dieseltwin.recordings.channels import optional_inputs
 from dieseltwin.recordings.held import between_readings
 from dieseltwin.recordings.noise import cut_offs
 from dieseltwin.recordings.reader import Recording
+from dieseltwin.settings.defaults import default_discover
 
 WINDOW_S = 10.0
 """Length of a window [s]: some time constants of the turbocharger, and short against the growth of an instability."""
@@ -59,9 +60,6 @@ STEP_S = 0.025
 
 HEALTH_PRIOR = 0.3
 """Standard deviation of a health parameter about the engine file's value [-]."""
-
-MAP_TOLERANCE = 0.003
-"""Standard deviation of a map's smooth relative error [-] (docs/discovery.md)."""
 
 _SPEED_SCALE = 500.0  # rad/s
 _PRESSURES_REST_S = 0.35  # after a restart; the manifolds forget a wrong start within 0.2 s
@@ -77,7 +75,7 @@ class EngineTwin:
         recording: in the recording format; `time_s` as it is.
         engine: nominal engine; its terms are part of the model.
         sensors: columns of `MEASURED` to use, None for all that the recording has.
-        map_tolerance: standard deviation of the maps' smooth errors [-].
+        map_tolerance: standard deviation of the maps' smooth errors [-]; None: the settings'.
         belief: what was learned of the engine: its corrections are simulated, and readings are what they would be
             without its sensors' errors; None for maps and sensors as they are.
         like: a twin of the same recording, nearly the same, whose windows and steps are taken over.
@@ -99,11 +97,12 @@ class EngineTwin:
         engine: EngineParameters,
         sensors: Sequence[str] | None = None,
         *,
-        map_tolerance: float = MAP_TOLERANCE,
+        map_tolerance: float | None = None,
         belief: Belief | None = None,
         like: EngineTwin | None = None,
     ) -> None:
         self.belief = belief
+        tolerance = default_discover().map_tolerance if map_tolerance is None else map_tolerance
         if belief is not None:
             engine = engine.replace(terms=with_corrections(engine.terms, belief.coefficients))
         coefficients = corrections_in(engine.terms)
@@ -145,7 +144,7 @@ class EngineTwin:
         self.state_scales = np.array([_SPEED_SCALE])
         self.points = tuple(
             Point(name, facts.site, name not in ADDED_AT, ADDED_AT.get(name, "-"), facts.ports, facts.scale,
-                  map_tolerance if facts.over else 0.0, facts.over, facts.also)
+                  tolerance if facts.over else 0.0, facts.over, facts.also)
             for name, facts in ((name, POINT_FACTS[name]) for name in POINTS)
         )  # fmt: skip
         slow = rows_are_slow(self.time_s)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dieseltwin.discovery.twins.diesel import MAP_TOLERANCE, EngineTwin
+from dieseltwin.discovery.twins.diesel import EngineTwin
 from dieseltwin.discovery.twins.diesel_lanes import moving
 from dieseltwin.discovery.twins.interface import Array, Lanes, some_lanes
 from dieseltwin.engine import EngineParameters
@@ -27,7 +27,7 @@ from dieseltwin.recordings.circumstances import (
     with_charge,
 )
 from dieseltwin.recordings.reader import Recording
-from dieseltwin.settings.params import default_search
+from dieseltwin.settings.defaults import default_search
 from dieseltwin.settings.search import CircumstanceSettings
 
 _STEPS = {"p_amb_pa": 0.5, "t_amb_k": 0.005, "t_im_k": 0.005, SCALE: 1e-5, TIME_SHIFT: 0.05}
@@ -112,7 +112,7 @@ class LoggedTwin(EngineTwin):
 
     def __init__(
         self, recording: Recording, engine: EngineParameters, sensors: Sequence[str] | None = None, *,
-        map_tolerance: float = MAP_TOLERANCE, belief: Belief | None = None, beliefs: CircumstanceSettings | None = None,
+        map_tolerance: float | None = None, belief: Belief | None = None, beliefs: CircumstanceSettings | None = None,
         values: Mapping[str, float] | None = None, opened: frozenset[str] = frozenset(),
         like: LoggedTwin | None = None,
     ) -> None:  # fmt: skip

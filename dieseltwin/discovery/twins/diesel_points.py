@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from dieseltwin.discovery.twins.interface import Hypothesis, LawScope
 from dieseltwin.engine.effects import ACTUATION_EFFECTS, EFFECTS
-from dieseltwin.engine.terms import LAGGING_SENSOR, LAW_VARIABLES, SENSOR_UNITS
+from dieseltwin.engine.terms import LAW_VARIABLES, SENSOR_UNITS
 
 LAW_KINDS = ("power", "ratio", "time", "difference", "head", "above_one", "share", "orifice", "bump")
 """Factors of laws that an engine file can carry (`engine.terms.LawTerm`)."""
@@ -18,7 +18,7 @@ OPERATORS = ("lag", "dead_time", "play")
 
 
 LAW_SCOPE = LawScope(
-    kinds=(*LAW_KINDS, *OPERATORS), variables=LAW_VARIABLES, lagging_sensors=(LAGGING_SENSOR,),
+    kinds=(*LAW_KINDS, *OPERATORS), variables=LAW_VARIABLES, lagging_sensors=tuple(SENSOR_UNITS),
     channel_units=SENSOR_UNITS,
     commands={(e.enters.operator, f"u_{e.enters.name}"): e.name for e in EFFECTS.values()
               if e.enters.through == "command"},

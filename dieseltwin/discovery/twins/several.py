@@ -20,7 +20,7 @@ from dieseltwin.discovery.twins.interface import Array, Hypothesis, Lanes, Point
 from dieseltwin.engine import EngineParameters
 from dieseltwin.errors import InputError
 from dieseltwin.recordings.circumstances import Circumstance, among_several, of_recording
-from dieseltwin.settings.params import default_search
+from dieseltwin.settings.defaults import default_search
 
 _COLD_SPAN_K = 5.0
 """Spread of the recordings' ambient temperatures from which cold weather can be told from chance [K]: its change over a

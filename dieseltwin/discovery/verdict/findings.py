@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from scipy.special import expit, logsumexp
@@ -220,11 +220,8 @@ def _unnamed(found: Search) -> FoundEffect:
         ahead = max(ahead, found.law.gain - catalogue)
     elif found.structure and found.structure[0].feature.channel is not None:
         item = found.structure[0]
-        law = (
-            f"reading (1 + {item.coefficient:.4g})"
-            if item.feature.text == "gain"
-            else f"reading + {item.coefficient:.4g} of its mean"
-        )
+        law = {"gain": f"reading (1 + {item.coefficient:.4g})", "lag": f"reading {item.coefficient:.2g} s behind",
+               "offset": f"reading + {item.coefficient:.4g} of its mean"}[cast(str, item.feature.fault)]
     return none_of_these(law, valid_for(found), float(expit(0.5 * ahead)))
 
 

@@ -16,11 +16,10 @@ from torch import Tensor
 from dieseltwin.engine import Actuation, Constants, EngineParameters, bind
 from dieseltwin.engine.actuators import actuator_update
 from dieseltwin.engine.array_namespace import torch_primitives
-from dieseltwin.engine.effect import Entry
-from dieseltwin.engine.effects import EFFECTS, GAS_LAG, HEATED_BY_GAS, STATE_EFFECTS, Magnitudes, effects_at
+from dieseltwin.engine.effects import GAS_LAG, HEATED_BY_GAS, STATE_EFFECTS, Magnitudes, effects_at
 from dieseltwin.engine.extended_terms import conditions_of, quantities_under
 from dieseltwin.engine.quantities import Gas, Quantities
-from dieseltwin.engine.terms import LAGGING_SENSOR, amounts, corrections_in, law_terms
+from dieseltwin.engine.terms import SENSOR_UNITS, amounts, corrections_in, effect_terms, law_terms, sensor_slot
 from dieseltwin.errors import InputError
 
 STATIC_SWEEPS = 3
@@ -62,7 +61,13 @@ class TermModel:
                 "engine file", "learned corrections of the maps", "laws and effects", "take --method classical"
             )
         self.laws = law_terms(parameters.terms)
-        names = (*STATE_EFFECTS, *READING_LAGS)
+        slow = [term for term in effect_terms(parameters.terms) if term.slot in _OTHER_LAGS and term.magnitude]
+        if slow:
+            raise InputError(
+                "engine file", f"a reading that lags ({slow[0].slot})", "a lag of the reading of t_em_k",
+                "take --method classical",
+            )
+        names = (*STATE_EFFECTS, READING_LAG)
         rows, factors, times = [], [], []
         for actuation in actuations:
             start, conditions = actuation.inputs.recording_start_s, conditions_of(actuation)
@@ -141,9 +146,10 @@ class TermModel:
         return q
 
 
-_LAG_OF_READING = Entry("reading", LAGGING_SENSOR, "lag")
-READING_LAGS = tuple(name for name, effect in EFFECTS.items() if effect.enters == _LAG_OF_READING)
-"""The lag of the reading of the exhaust temperature."""
+READING_LAG = sensor_slot("t_em_k", "lag")
+"""The lag of a reading that physics residuals know: of the exhaust temperature, which is no state."""
+
+_OTHER_LAGS = {sensor_slot(column, "lag") for column in SENSOR_UNITS} - {READING_LAG}
 
 IMPLICIT = {"inlet_pressure": ("inlet_defect", "p_bc"), "outlet_pressure": ("outlet_defect", "p_es")}
 """Equations that are solved by iteration, what they bring to zero, and the pressure that they give."""

@@ -13,7 +13,7 @@ from dieseltwin.discovery.laws.grammar import Factor, Form
 from dieseltwin.discovery.laws.ranking import Ranked, simpler
 from dieseltwin.discovery.laws.reading_twin import ReadingFault
 from dieseltwin.discovery.laws.search import Law, _simplest_first
-from dieseltwin.discovery.laws.sensor import best_law, faults_of, sensor_fault
+from dieseltwin.discovery.laws.sensor import FaultFit, best_law, faults_of, sensor_fault
 from dieseltwin.discovery.laws.shapes import lagged, orifice
 from dieseltwin.discovery.laws.terms import law_terms_of
 from dieseltwin.discovery.laws.twin import Placed
@@ -57,10 +57,16 @@ def test_a_lag_is_found_where_a_sensor_may_lag() -> None:
     toy = Toy().record()
     toy.measured[:, 1] = lagged(toy.measured[:, 1], toy.time_s, 0.8)
     at = _null(toy)
-    assert sensor_fault(cast(Twin, toy), at, ()) is None
+
+    def found() -> FaultFit | None:
+        structure = score_features(at, generic_features(cast(Twin, toy), at.fit))
+        return sensor_fault(cast(Twin, toy), at, faults_of(structure, toy.channels))
+
+    without = found()
+    assert without is None or without.fault.kind != "lag"
     toy.law_scope = LawScope(lagging_sensors=("y",))  # type: ignore[attr-defined]
-    fault = sensor_fault(cast(Twin, toy), at, ())
-    assert fault is not None
+    fault = found()
+    assert fault is not None and (without is None or fault.gain > 2.0 * without.gain)
     law = fault.law()
     assert law.faults[0].kind == "lag"
     assert law.faults[0].size == pytest.approx(0.8, abs=0.1)

@@ -18,7 +18,7 @@ from dieseltwin.discovery.reference.part import Part
 from dieseltwin.engine import HEALTH, we2011
 from dieseltwin.learning.belief import HEALTH_AT, MAPS_AT, NOTHING_FURTHER, prior_belief
 from dieseltwin.recordings.reader import Recording, recording
-from dieseltwin.settings.params import default_learn
+from dieseltwin.settings.defaults import default_learn
 
 MAP_RMS = 0.02
 SHARES = {"A_egrmax": 0.92, "A_vgtmax": 1.08, "eta_sc": 0.98, "h_tot": 1.1}

@@ -48,7 +48,7 @@ from dieseltwin.recordings.noise import estimate_noise
 from dieseltwin.recordings.reader import Recording, read_recording, recording
 from dieseltwin.report.discovery_words import sentence
 from dieseltwin.sensors import MEASURED
-from dieseltwin.settings.params import default_search
+from dieseltwin.settings.defaults import default_search
 from dieseltwin.settings.search import SearchSettings
 
 LATE_S = 0.28

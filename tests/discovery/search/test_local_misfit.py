@@ -24,7 +24,7 @@ from dieseltwin.discovery.verdict.told import beside_fine_maps, told
 from dieseltwin.engine import Inputs, simulate, we2011
 from dieseltwin.engine.terms import LawGroup, LawTerm
 from dieseltwin.recordings.reader import recording
-from dieseltwin.settings.params import default_search
+from dieseltwin.settings.defaults import default_search
 
 SENSORS = {
     "p_im_pa": 0.03, "p_em_pa": 0.03, "omega_t_rad_s": 0.01, "w_egr_kg_s": 0.05, "t_em_k": 0.03, "w_c_kg_s": 0.03,
