@@ -12,6 +12,9 @@ from dieseltwin.errors import InputError
 
 _NOT_THERE = {errno.ENOENT, errno.ENOTDIR, errno.ELOOP, errno.ENAMETOOLONG}
 
+YAML_ENDINGS = (".yaml", ".yml")
+"""Of engine files and channel maps."""
+
 
 def refuse_unreadable(path: str | Path | None, allowed: str = "a recording") -> None:
     """Refuse a path that no content can be read from; None (an option that wasn't given) passes.

@@ -8,7 +8,7 @@ from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
 
-from dieseltwin.api.engines import NAMED, PUBLISHED, Engine, diesel_engine, petrol_base
+from dieseltwin.api.engines import NAMED, PUBLISHED, AnyEngine, diesel_engine, petrol_base
 from dieseltwin.api.petrol import PetrolCalibrated, calibrate_petrol
 from dieseltwin.api.points import Calibrated, calibrate_points
 from dieseltwin.api.reading import Channels, Source
@@ -25,7 +25,7 @@ LARGEST_NOISE_PCT = 20.0
 
 def calibrate(
     points: Source | SteadyPoints | PetrolRecording,
-    base: Engine | str | Path = PUBLISHED,
+    base: AnyEngine = PUBLISHED,
     *,
     geometry: EngineParameters | Mapping[str, Any] | str | Path | None = None,
     channels: Channels | None = None,
@@ -64,7 +64,7 @@ def calibrate(
     return calibrate_points(points, first, geometry, channels, noise_pct, seed)
 
 
-def base_engine(base: Engine | str | Path) -> EngineParameters | PetrolParameters:
+def base_engine(base: AnyEngine) -> EngineParameters | PetrolParameters:
     """The engine to begin with; one that isn't calibrated yet will do.
 
     Raises:

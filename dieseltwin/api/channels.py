@@ -27,7 +27,7 @@ from dieseltwin.symbols import symbol
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from dieseltwin.api.engines import Engine
+    from dieseltwin.api.engines import AnyEngine
 
 __all__ = ["AMBIENT", "ENDINGS", "STAND_IN_PA", "ChannelsFound", "Quantity", "channel_map", "channels", "quantities"]
 
@@ -140,7 +140,7 @@ class ChannelsFound(Result):
 
 def channels(
     file: str | Path, dbc: str | Path | None = None, cylinders: int | None = None,
-    engine: Engine | str | Path | None = None,
+    engine: AnyEngine | None = None,
 ) -> ChannelsFound:
     """Say what is in a file and guess which channel is which of our quantities.
 
@@ -158,7 +158,7 @@ def channels(
     return ChannelsFound(propose(read_raw(file, database), cylinders, database, machine))
 
 
-def _machine(source: Engine | str | Path) -> Machine:
+def _machine(source: AnyEngine) -> Machine:
     # the engines' simulators take as long to import as all the rest, and most files are looked into without one
     from dieseltwin.api.engines import engine
     from dieseltwin.petrol.parameters import PetrolParameters

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 from dieseltwin.api import driving, rigs
-from dieseltwin.api.engines import Engine, petrol_base
+from dieseltwin.api.engines import AnyEngine, Engine, petrol_base
 from dieseltwin.api.findings import Asked, Discovered, Kind, Question
 from dieseltwin.api.reading import Channels, Made, Opened, Source, as_engine, opened, settled, several
 from dieseltwin.discovery.verdict.explain import check_name
@@ -22,7 +22,7 @@ AnyRecording: TypeAlias = Source | Made
 
 def discover(
     recording: AnyRecording | Sequence[AnyRecording],
-    engine: Engine | str | Path | None = None,
+    engine: AnyEngine | None = None,
     *,
     channels: Channels | None = None,
     sensors: Sequence[str] | None = None,
@@ -59,7 +59,7 @@ def discover(
 
 def ask(
     recording: AnyRecording | Sequence[AnyRecording],
-    engine: Engine | str | Path | None = None,
+    engine: AnyEngine | None = None,
     channels: Channels | None = None,
     asked: Asked | None = None,
 ) -> Question:
@@ -81,7 +81,7 @@ def ask(
     return question
 
 
-def _machine(engine: Engine | str | Path | None, asked: Asked) -> Engine:
+def _machine(engine: AnyEngine | None, asked: Asked) -> Engine:
     """The machine that is meant. A petrol engine needs no maps where it is learned from references first."""
     if asked.reference and engine is not None:
         petrol = petrol_base(engine)

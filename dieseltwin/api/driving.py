@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dieseltwin.api import driving_page
-from dieseltwin.api.engines import PUBLISHED, Engine, diesel_engine
+from dieseltwin.api.engines import PUBLISHED, AnyEngine, diesel_engine
 from dieseltwin.api.findings import Asked, Discovered, Question, channels_sha256, machine, sha256_if_there
-from dieseltwin.api.reading import Channels, Opened, over_time
+from dieseltwin.api.reading import Channels, Opened, as_engine, over_time
 from dieseltwin.api.results import drawn
 from dieseltwin.atomic import atomic_folder, write_json, write_text
 from dieseltwin.discovery import discover as core
@@ -213,7 +213,7 @@ def _time_notes(document: Discrepancy) -> list[Note]:
 
 def ask(
     read: Sequence[Opened],
-    engine: Engine | str | Path | None,
+    engine: AnyEngine | None,
     channels: Channels | None,
     question: Asked,
     known: LearnedEngine | None = None,
@@ -269,7 +269,7 @@ def ask(
 
 
 def _known(
-    engine: Engine | str | Path | None, channels: Channels | None, question: Asked
+    engine: AnyEngine | None, channels: Channels | None, question: Asked
 ) -> tuple[LearnedEngine | None, Sequence[Note]]:
     """What is known of the engine, from its file or from references, and what is doubtful about these."""
     if not question.reference:
@@ -317,7 +317,7 @@ def _column_notes(document: Discrepancy, columns: Container[str]) -> list[Note]:
     return [Note(f"{listed(names)} {words}", "wrong_column", names) for names, words in named if names]
 
 
-def _asked(engine: Engine | str | Path | None, channels: Channels | None, question: Asked) -> dict[str, Any]:
+def _asked(engine: AnyEngine | None, channels: Channels | None, question: Asked) -> dict[str, Any]:
     withhold, sensors, settings = question.withhold or (), question.sensors, question.settings
     question.check(EFFECTS, settings.search.driving.withhold)
     map_tolerance = settings.map_tolerance if question.map_tolerance is None else question.map_tolerance
@@ -339,15 +339,16 @@ def _asked(engine: Engine | str | Path | None, channels: Channels | None, questi
     }  # fmt: skip
 
 
-def _engine_sha256(engine: Engine | str | Path | None) -> str | None:
+def _engine_sha256(engine: AnyEngine | None) -> str | None:
     """Hash of an engine's file, or of its parameters; None for the published one."""
     if engine is None or engine == PUBLISHED:
         return None
     if isinstance(engine, str | Path):
         return sha256_if_there(engine)
-    if engine == we2011.PARAMETERS:
+    parameters = as_engine(engine)
+    if parameters == we2011.PARAMETERS:
         return None
-    return hashlib.sha256(engine.model_dump_json().encode()).hexdigest()
+    return hashlib.sha256(parameters.model_dump_json().encode()).hexdigest()
 
 
 def _checked(recording: Imported | Recording, parameters: EngineParameters) -> Recording:

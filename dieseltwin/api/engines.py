@@ -6,7 +6,7 @@ import math
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 from dieseltwin.engine import EngineParameters, load_engine, we2011
 from dieseltwin.engine.effects import EFFECTS
@@ -22,6 +22,19 @@ from dieseltwin.settings.strict import read_mapping, validate
 Engine: TypeAlias = EngineParameters | PetrolParameters | RigParameters
 """Parameters of an engine of either kind, or of a machine that is none."""
 
+
+@runtime_checkable
+class HasEngine(Protocol):
+    """What `learn`, `calibrate` and `discover` give: an engine, and what is known of it."""
+
+    @property
+    def engine(self) -> Engine:
+        """The engine."""
+
+
+AnyEngine: TypeAlias = Engine | str | Path | HasEngine
+"""An engine by its parameters, its name, its file, or what another function gave."""
+
 PUBLISHED = "we2011"
 NAMED: Mapping[str, EngineParameters | PetrolParameters] = {
     PUBLISHED: we2011.PARAMETERS, "liu_petrol": PetrolParameters(),
@@ -29,18 +42,20 @@ NAMED: Mapping[str, EngineParameters | PetrolParameters] = {
 """Engines that have a name: the published diesel engine, and a petrol engine that is still to be calibrated."""
 
 
-def engine(source: Engine | str | Path = PUBLISHED, /, **changes: Any) -> Engine:
+def engine(source: AnyEngine = PUBLISHED, /, **changes: Any) -> Engine:
     """An engine, by name, from a file, or from parameters; named parameters changed.
 
     Args:
-        source: a name of `NAMED`, a YAML file of parameters (what it leaves out is that of the published set), or
-            parameters.
+        source: a name of `NAMED`, a YAML file of parameters (what it leaves out is that of the published set),
+            parameters, or what `learn`, `calibrate` or `discover` gave.
         changes: parameters by name [unit as in `dieseltwin engine show`], e.g. `V_d=0.0128`.
 
     Raises:
         InputError: an unknown name, a file that can't be used, a value out of range.
     """
-    if isinstance(source, Engine):
+    if isinstance(source, HasEngine):
+        found = source.engine
+    elif isinstance(source, Engine):
         found = source
     elif not isinstance(source, str | Path):
         raise InputError("engine", f"a {type(source).__name__}", f"{listed(list(NAMED))}, a file or parameters",
@@ -63,14 +78,16 @@ def _read(path: str | Path) -> Engine:
     return load_petrol(path) if kind == PETROL else load_rig(path) if kind == RIG else load_engine(path)
 
 
-def rig_of(source: Engine | str | Path | None) -> RigParameters | None:
+def rig_of(source: AnyEngine | None) -> RigParameters | None:
     """The rig that is meant, None for an engine."""
     found = None if source is None else engine(source)
     return found if isinstance(found, RigParameters) else None
 
 
-def petrol_base(source: Engine | str | Path) -> PetrolParameters | None:
+def petrol_base(source: AnyEngine) -> PetrolParameters | None:
     """The petrol engine that is meant, calibrated or not; None for any other machine."""
+    if isinstance(source, HasEngine):
+        source = source.engine
     if isinstance(source, PetrolParameters):
         return source
     if isinstance(source, EngineParameters | RigParameters):
@@ -83,12 +100,12 @@ def petrol_base(source: Engine | str | Path) -> PetrolParameters | None:
     return None
 
 
-def named(source: Engine | str | Path | None, parameters: PetrolParameters) -> str:
+def named(source: AnyEngine | None, parameters: PetrolParameters) -> str:
     """A petrol engine as the user named it: by its file, else by its own name."""
     return str(source) if isinstance(source, str | Path) else parameters.name
 
 
-def diesel_engine(source: Engine | str | Path | None) -> EngineParameters:
+def diesel_engine(source: AnyEngine | None) -> EngineParameters:
     """A diesel engine as `engine` takes it; None is the published one.
 
     Raises:

@@ -6,7 +6,7 @@ import re
 from contextlib import ExitStack
 from pathlib import Path
 
-from dieseltwin.api.engines import NAMED, PUBLISHED, Engine, diesel_engine
+from dieseltwin.api.engines import NAMED, PUBLISHED, AnyEngine, diesel_engine
 from dieseltwin.atomic import atomic_path, check_folder, check_writable
 from dieseltwin.codegen.c_engine import c_source
 from dieseltwin.codegen.fmu import VERSIONS, check_platform, write_fmu
@@ -17,7 +17,7 @@ from dieseltwin.settings.extras import require
 
 
 def export(
-    engine: Engine | str | Path = PUBLISHED, *, c: str | Path | None = None, fmu: str | Path | None = None,
+    engine: AnyEngine = PUBLISHED, *, c: str | Path | None = None, fmu: str | Path | None = None,
     table: str | Path | None = None, fmi: int = 2, sources_only: bool = False, overwrite: bool = False,
 ) -> list[Path]:  # fmt: skip
     """Write an engine with its terms and learned maps for programs that know nothing of this package.
@@ -84,7 +84,7 @@ def export_networks(models: str | Path, out: str | Path, *, overwrite: bool = Fa
     return write_onnx(networks_in(Path(models)), Path(out))
 
 
-def exportable(source: Engine | str | Path) -> tuple[EngineParameters, str]:
+def exportable(source: AnyEngine) -> tuple[EngineParameters, str]:
     """A diesel engine and its name.
 
     Raises:

@@ -15,7 +15,7 @@ from typing import Any, Protocol
 
 import pandas as pd
 
-from dieseltwin.api.engines import Engine
+from dieseltwin.api.engines import AnyEngine, Engine
 from dieseltwin.api.reading import Channels, Opened, Source
 from dieseltwin.api.results import Result
 from dieseltwin.discovery.verdict.document import Discrepancy
@@ -110,7 +110,7 @@ class Kind(Protocol):
     """A kind of machine: its module, which knows how it is asked about."""
 
     def ask(
-        self, read: Sequence[Opened], engine: Engine | str | Path | None, channels: Channels | None, question: Asked
+        self, read: Sequence[Opened], engine: AnyEngine | None, channels: Channels | None, question: Asked
     ) -> Question:  # fmt: skip
         """Check what was read and what is asked of it; see `discovery.discover`.
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from dieseltwin.api.engines import Engine, diesel_engine, rig_of
+from dieseltwin.api.engines import AnyEngine, diesel_engine, rig_of
 from dieseltwin.api.identified_words import found_words, misfits, text_table, with_tolerances
 from dieseltwin.api.reading import Channels, Source, diesel_recording
 from dieseltwin.api.results import Result, drawn
@@ -256,7 +256,7 @@ class IdentificationQuestion:
 
 def identify(
     recording: Source | Recording | RigRecording,
-    engine: Engine | str | Path | None = None,
+    engine: AnyEngine | None = None,
     *,
     channels: Channels | None = None,
     method: str = "classical",
@@ -291,7 +291,7 @@ def identify(
 
 def ask(
     recording: Source | Recording | RigRecording,
-    engine: Engine | str | Path | None = None,
+    engine: AnyEngine | None = None,
     *,
     channels: Channels | None = None,
     method: str = "classical",

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from dieseltwin.api.engines import Engine, diesel_engine, named, petrol_base
+from dieseltwin.api.engines import AnyEngine, diesel_engine, named, petrol_base
 from dieseltwin.api.petrol import PetrolCalibrated, learn_petrol
 from dieseltwin.api.reading import Channels, Made, Source, diesel_recording, several
 from dieseltwin.api.results import Result, drawn
@@ -26,6 +26,7 @@ from dieseltwin.learning.files import LearnedEngine, learned_engine_of, overlap,
 from dieseltwin.learning.levels import health_covariance
 from dieseltwin.learning.siblings import belief_from_siblings
 from dieseltwin.notes import Note, counted, of_reading
+from dieseltwin.paths import YAML_ENDINGS
 from dieseltwin.petrol.parameters import PetrolParameters
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.recordings.shared_rows import distinct, refuse_overlapping
@@ -60,7 +61,7 @@ class LearnedResult(Result):
 
     @property
     def engine(self) -> EngineParameters:
-        """The engine as it was learned; its file says how surely, so give that to `discover`."""
+        """The engine as it was learned; the result itself, or its file, also says how surely: give `discover` those."""
         return self.known.engine
 
     @property
@@ -86,8 +87,10 @@ class LearnedResult(Result):
         """Write the engine file and, beside it, what it rests on.
 
         Raises:
-            InputError: a place that can't be written to, or a file that more was learned into meanwhile.
+            InputError: no .yaml, a place that can't be written to, or a file that more was learned into meanwhile.
         """
+        if Path(out).suffix.lower() not in YAML_ENDINGS:
+            raise InputError(f"save({str(out)!r})", "another ending", ", ".join(YAML_ENDINGS), "choose one of them")
         path, seal = self.read or (None, "")
         if path is not None and Path(out).resolve() == path and path.is_file() and seal_of(path) != seal:
             raise InputError(str(out), "a learned engine that isn't the one read", "the file as it was when this began",
@@ -102,7 +105,7 @@ class LearnedResult(Result):
 
 def learn(
     recordings: Source | Made | Sequence[Source | Made],
-    engine: Engine | str | Path | None = None,
+    engine: AnyEngine | None = None,
     *,
     channels: Channels | None = None,
     map_error: float | None = None,
@@ -137,7 +140,7 @@ def learn(
 
 
 def _learn_diesel(
-    recordings: Sequence[Source | Made], engine: Engine | str | Path | None, channels: Channels | None,
+    recordings: Sequence[Source | Made], engine: AnyEngine | None, channels: Channels | None,
     map_error: float | None = None, siblings: Sequence[str | Path] = (),
 ) -> LearnedResult:  # fmt: skip
     low, high = MAP_ERRORS
@@ -180,7 +183,7 @@ def _learn_diesel(
 
 
 def known_engine(
-    engine: Engine | str | Path | None, reference: Sequence[Source | Recording], channels: Channels | None
+    engine: AnyEngine | None, reference: Sequence[Source | Recording], channels: Channels | None
 ) -> tuple[LearnedEngine, Sequence[Note]]:
     """What recordings of an engine when it was well tell of it, and notes.
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from dieseltwin.api.engines import Engine, named, petrol_base
+from dieseltwin.api.engines import AnyEngine, named, petrol_base
 from dieseltwin.api.findings import Asked, Discovered, Question, channels_sha256, machine
 from dieseltwin.api.reading import Channels, Made, Opened, Source, petrol_recording
 from dieseltwin.api.results import Result, drawn
@@ -125,7 +125,7 @@ class PetrolQuestion(Question):
 
 
 def ask(
-    read: Sequence[Opened], engine: Engine | str | Path | None, channels: Channels | None, question: Asked
+    read: Sequence[Opened], engine: AnyEngine | None, channels: Channels | None, question: Asked
 ) -> PetrolQuestion:
     """Check a recording of a petrol engine; see `findings.Kind.ask`. With references it is learned from them first.
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from dieseltwin.api.engines import Engine, diesel_engine
+from dieseltwin.api.engines import AnyEngine, diesel_engine
 from dieseltwin.api.findings import Asked, Discovered, Question
 from dieseltwin.api.reading import Channels, Opened, Source, settled_points
 from dieseltwin.api.results import Result, drawn
@@ -274,7 +274,7 @@ class PointsQuestion(Question):
 
 
 def ask(
-    read: Sequence[Opened], engine: Engine | str | Path | None, channels: Channels | None, question: Asked
+    read: Sequence[Opened], engine: AnyEngine | None, channels: Channels | None, question: Asked
 ) -> PointsQuestion:
     """Read settled points, and the engine file's sidecar where there is one; see `findings.Kind.ask`."""
     (points,) = read

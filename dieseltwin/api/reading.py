@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, Union
 import numpy as np
 import pandas as pd
 
-from dieseltwin.api.engines import Engine, diesel_engine, engine
+from dieseltwin.api.engines import AnyEngine, Engine, diesel_engine, engine
 from dieseltwin.api.results import Result
 from dieseltwin.engine import EngineParameters
 from dieseltwin.errors import InputError
@@ -55,7 +55,7 @@ def several(items: Item | Sequence[Item]) -> Sequence[Item]:
 
 
 def read(
-    source: Source, channels: Channels | None = None, engine: Engine | str | Path | None = None
+    source: Source, channels: Channels | None = None, engine: AnyEngine | None = None
 ) -> Made:
     """Read and check a recording, or settled points where there is no column of time.
 
@@ -96,7 +96,7 @@ def description(found: Made) -> list[str]:
     return [f"{found.duration_s / 60.0:.1f} minutes at {rate:.3g} Hz with {', '.join(there)}.", *found.notes]
 
 
-def as_engine(source: Engine | str | Path | None) -> Engine:
+def as_engine(source: AnyEngine | None) -> Engine:
     """`engines.engine`, the published engine for None."""
     return diesel_engine(None) if source is None else engine(source)
 

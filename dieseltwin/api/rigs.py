@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from dieseltwin.api.engines import Engine, rig_of
+from dieseltwin.api.engines import AnyEngine, rig_of
 from dieseltwin.api.findings import Asked, Discovered, Question, channels_sha256, machine
 from dieseltwin.api.reading import Channels, Opened, Source, rig_recording
 from dieseltwin.api.results import Result, drawn
@@ -128,7 +128,7 @@ class RigQuestion(Question):
 
 
 def ask(
-    read: Sequence[Opened], engine: Engine | str | Path | None, channels: Channels | None, question: Asked
+    read: Sequence[Opened], engine: AnyEngine | None, channels: Channels | None, question: Asked
 ) -> RigQuestion:
     """Check a recording of a rig; see `findings.Kind.ask`.
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from dieseltwin.api.engines import Engine, with_effects
+from dieseltwin.api.engines import AnyEngine, Engine, with_effects
 from dieseltwin.api.reading import Channels, Source, as_engine, diesel_recording, petrol_recording, rig_recording
 from dieseltwin.api.results import Result, drawn
 from dieseltwin.engine import EngineParameters, Inputs
@@ -73,7 +73,7 @@ class Simulation(Result):
 
 def simulate(
     inputs: Source | Recording | PetrolRecording | RigRecording,
-    engine: Engine | str | Path | None = None,
+    engine: AnyEngine | None = None,
     *,
     channels: Channels | None = None,
     effects: Mapping[str, float | str] | None = None,

@@ -9,7 +9,8 @@ from typing import Annotated
 import typer
 
 from dieseltwin.atomic import check_writable
-from dieseltwin.cli.options import YAML_ENDINGS, check_apart, check_ending
+from dieseltwin.cli.options import check_apart, check_ending
+from dieseltwin.paths import YAML_ENDINGS
 
 
 def channels_command(

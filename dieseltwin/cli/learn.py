@@ -9,7 +9,6 @@ import typer
 
 from dieseltwin.atomic import check_writable
 from dieseltwin.cli.options import (
-    YAML_ENDINGS,
     ChannelsFile,
     EngineFile,
     ParamsFile,
@@ -21,6 +20,7 @@ from dieseltwin.cli.options import (
     readable_engines,
     say,
 )
+from dieseltwin.paths import YAML_ENDINGS
 
 
 def learn_command(

@@ -32,7 +32,6 @@ Pdf = Annotated[bool, typer.Option("--pdf", help="Print the report to report.pdf
 Strict = Annotated[bool, typer.Option("--strict", help="Exit code 3 when the answer carries a warning.")]
 
 
-YAML_ENDINGS = (".yaml", ".yml")
 
 Named = TypeVar("Named", Path, list[Path], None)
 

@@ -9,7 +9,8 @@ from typing import Annotated
 import typer
 
 from dieseltwin.atomic import check_writable
-from dieseltwin.cli.options import YAML_ENDINGS, Strict, check_apart, check_ending, readable, say, strictly
+from dieseltwin.cli.options import Strict, check_apart, check_ending, readable, say, strictly
+from dieseltwin.paths import YAML_ENDINGS
 
 Points = Annotated[
     Path, typer.Argument(metavar="POINTS", callback=readable, help="Steady points, or a recording, in any format.")

@@ -178,7 +178,10 @@ def load_learned(path: Path) -> LearnedEngine | None:
 
 
 def learned_engine_of(engine: object) -> LearnedEngine | None:
-    """The same of the file that `engine` names; None where it names none."""
+    """What is known of an engine: of the file that is named, or with what `learn` gave; None where nothing is."""
+    known = getattr(engine, "known", engine)
+    if isinstance(known, LearnedEngine):
+        return known
     return load_learned(Path(engine)) if isinstance(engine, str | Path) and Path(engine).is_file() else None
 
 

@@ -59,6 +59,21 @@ def test_a_leak_that_began_is_named_with_its_date(year: list[Path], tmp_path: Pa
     assert "From recording to recording" in (tmp_path / "report.html").read_text()
 
 
+@pytest.mark.thorough
+def test_a_leak_that_was_mended_is_named_with_its_end(year: list[Path], tmp_path: Path):
+    first = tmp_path / "2025-11-01.csv"
+    first.write_bytes(year[0].read_bytes())
+    found = dt.discover([first, *year[1:]])
+    (effect,) = found.document.to_json()["effects"]
+    assert effect["name"] == "boost_leak" and effect["magnitude"] == pytest.approx(25e-6, abs=4.0 * effect["std"])
+    assert "was there up to 2025-11-01 and isn't on 2026-01-01 any more" in found.sentence
+    assert found.document.location is not None and found.document.location.onset_date is None
+    assert not found.engine.terms  # the last recording's
+    sizes = [row.magnitudes["boost_leak"] for row in found.document.recordings]
+    for size, truth in zip(sizes, (25e-6, 0.0, 0.0), strict=True):
+        assert abs(size.value - truth) < 3.5 * size.std < 15e-6
+
+
 def test_what_cannot_be_judged_together_is_refused(year: list[Path]):
     with pytest.raises(InputError, match="the same recording twice"):
         dt.discover([year[0], year[0]])

@@ -42,26 +42,30 @@ class Occasion:
     t_amb_k: float
 
 
-def profiles_of(occasions: Sequence[Occasion]) -> dict[str, Array]:
+def ways_to_differ(occasions: Sequence[Occasion]) -> dict[str, Array]:
     """Ways in which an effect's size may differ between R recordings in time order: name -> (R,) factors of its size.
 
-    `begins:k`: nothing before recording k; `grows:k`: zero up to recording k, then proportional to time, 1 at the last;
-    `cold`: zero at the warmest recording, 1 at the coldest, linear in ambient temperature. Those that are alike are
-    given once, the earlier kind first.
+    `begins:k`: nothing before recording k; `ends:k`: nothing from recording k on (a repair); `grows:k`: zero up to
+    recording k, then proportional to time, 1 at the last; `cold`: zero at the warmest recording, 1 at the coldest,
+    linear in ambient temperature. Some are alike: what two recordings have can have begun as well as grown.
     """
     days = np.array([item.days for item in occasions])
     warmth = np.array([item.t_amb_k for item in occasions])
     count = len(occasions)
     found: dict[str, Array] = {f"begins:{k}": (np.arange(count) >= k).astype(np.float64) for k in range(1, count)}
-    if days[-1] > days[0]:
-        for k in range(count - 2):
-            grown = np.maximum(days - days[k], 0.0)
-            if grown[-1] > 0.0:
-                found[f"grows:{k}"] = grown / grown[-1]
+    found |= {f"ends:{k}": (np.arange(count) < k).astype(np.float64) for k in range(1, count)}
+    for k in range(count - 1):
+        if days[-1] > days[k]:
+            found[f"grows:{k}"] = np.maximum(days - days[k], 0.0) / (days[-1] - days[k])
     if np.ptp(warmth) >= _COLD_SPAN_K:
         found["cold"] = (warmth.max() - warmth) / np.ptp(warmth)
+    return found
+
+
+def profiles_of(occasions: Sequence[Occasion]) -> dict[str, Array]:
+    """`ways_to_differ` that aren't alike, the earlier kind of those that are."""
     distinct: dict[str, Array] = {}
-    for name, factors in found.items():
+    for name, factors in ways_to_differ(occasions).items():
         if not any(np.allclose(factors, other) for other in distinct.values()):
             distinct[name] = factors
     return distinct

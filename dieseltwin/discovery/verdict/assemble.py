@@ -252,6 +252,8 @@ def _terms(found: Search, location: Location, twin: EngineTwin | SeveralTwin, fi
     share = 1.0  # of its size, on the last recording
     if variant is not None and variant.profile is not None:
         share = float(variant.schedule[-1])
+    if share == 0.0:  # it was mended before
+        return ()
     terms = []
     for j, name in enumerate(fit.candidate.names):
         terms.append(

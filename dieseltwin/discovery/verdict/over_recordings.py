@@ -10,7 +10,7 @@ import numpy as np
 from dieseltwin.discovery.likelihood.fit import Linearisation
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.interface import Array, Twin
-from dieseltwin.discovery.twins.several import SeveralTwin, profiles_of
+from dieseltwin.discovery.twins.several import SeveralTwin, ways_to_differ
 from dieseltwin.discovery.verdict.document import (
     FoundEffect,
     HealthValue,
@@ -103,6 +103,8 @@ def profile_words(profile: str | None, days: Sequence[Dated]) -> str:
     k = int(number)
     if kind == "begins":
         return f"began between {days[k - 1].day} and {days[k].day}"
+    if kind == "ends":
+        return f"was there up to {days[k - 1].day} and isn't on {days[k].day} any more"
     return f"has grown to this size since {days[k].day}"
 
 
@@ -117,7 +119,7 @@ def told_apart(found: Search, days: Sequence[Dated]) -> tuple[list[Sizes], str]:
     if found.kind == "variant" and chosen is None:
         return sizes, ""
     profiles: dict[str | None, Array] = {None: np.ones(len(twin.parts))}
-    profiles.update(profiles_of(twin.occasions))
+    profiles.update(ways_to_differ(twin.occasions))
     costs = {name: sizes[0].cost(factors) for name, factors in profiles.items()}
     others = [name for name, cost in costs.items() if name != chosen and cost < costs[chosen] + _ALIKE]
     others.sort(key=lambda name: costs[name])

@@ -12,7 +12,7 @@ from dieseltwin.discovery.likelihood.fit import first_fit, parameter_lanes
 from dieseltwin.discovery.twins.diesel import EngineTwin
 from dieseltwin.discovery.twins.diesel_circumstances import LoggedTwin
 from dieseltwin.discovery.twins.interface import OverRecordings, WithSignals, single
-from dieseltwin.discovery.twins.several import Occasion, SeveralTwin, profiles_of
+from dieseltwin.discovery.twins.several import Occasion, SeveralTwin, profiles_of, ways_to_differ
 from dieseltwin.engine import we2011
 from dieseltwin.errors import InputError
 from dieseltwin.recordings.reader import recording
@@ -69,10 +69,13 @@ def test_lanes_that_all_differ_keep_their_order(twin: SeveralTwin):
 def test_profiles_of_a_year():
     year = [Occasion(90.0 * k, 290.0 + t) for k, t in enumerate((0.0, 10.0, -12.0, 1.0))]
     found = profiles_of(year)
-    assert set(found) == {"begins:1", "begins:2", "begins:3", "grows:0", "grows:1", "cold"}
+    edges = {f"{way}:{k}" for way in ("begins", "ends") for k in (1, 2, 3)}
+    assert set(found) == edges | {"grows:0", "grows:1", "cold"}
+    assert np.allclose(found["ends:2"], [1.0, 1.0, 0.0, 0.0])
     assert np.allclose(found["grows:0"], [0.0, 1 / 3, 2 / 3, 1.0])
     assert np.allclose(found["cold"], [10 / 22, 0.0, 1.0, 9 / 22])
-    assert set(profiles_of(year[:2])) == {"begins:1", "cold"}  # that grew is the same as that it began
+    assert set(profiles_of(year[:2])) == {"begins:1", "ends:1"}  # that it grew, or comes with the cold, is the same
+    assert set(ways_to_differ(year[:2])) == {"begins:1", "ends:1", "grows:0", "cold"}
 
 
 def test_circumstances_are_those_of_each_recording():
