@@ -200,7 +200,7 @@ class DrivingQuestion(Question):
         judged = self.days or self.recording
         found = core.discover(judged, self.parameters, self.options, self.known, self.prepared, left,
                               shown=lambda known: begin_ahead(driving_page.draw_ahead, known))
-        check_fit(self.recording, self.parameters, found.engine, found.document.fit.chi2_per_sample_after)
+        check_fit(self.recording, self.parameters, found.engine, found.document.fit.chi2_left)
         return DrivingDiscovered(self, found, time.perf_counter() - self.began)
 
 

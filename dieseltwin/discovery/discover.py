@@ -144,7 +144,7 @@ def _with_doubts(
         leads = " and ".join(" + ".join(names) for names in dict.fromkeys(found.unsettled))
         doubts.append(Note(f"more than one explanation: {leads} lead in turns, each with the likelihood about the "
                            "other, so that neither name is given alone", "not_converged"))  # fmt: skip
-    problem = misfit_of(engine, result.engine, result.document.fit.chi2_per_sample_after)
+    problem = misfit_of(engine, result.engine, result.document.fit.chi2_left)
     if problem is not None:
         doubts.append(Note(f"{problem[0]} ({problem[1]} is allowed): no twin of what was recorded", "misfit"))
     return replace(result, document=with_warnings(result.document, doubts))

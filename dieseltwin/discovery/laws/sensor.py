@@ -61,17 +61,17 @@ def near_the_best(structure: Sequence[Structure], twin: Twin) -> tuple[str, ...]
 
 @dataclass(frozen=True)
 class FaultFit:
-    """The fault of a sensor that explains most, refitted.
+    """The fault of a sensor that explains most, refitted; two of the same sensor where the second explains enough.
 
     Attributes:
-        fault: with its first size.
+        faults: with their first sizes.
         at: the fit of the twin with it.
         gain: decrease of -2 log likelihood against no fault.
-        charge: for the fault's size, and for the choice of it.
+        charge: for the faults' sizes, and for the choice of them.
         rivals: other faults that the recording can't tell from it.
     """
 
-    fault: ReadingFault
+    faults: tuple[ReadingFault, ...]
     at: Linearisation
     gain: float
     charge: float
@@ -85,20 +85,24 @@ class FaultFit:
     def law(self, tolerances: Tolerances | None = None) -> Law:
         """As a law, its std with the tolerances inside; `tolerances`: as of `laws_in_turn`."""
         twin = cast(ReadingTwin, self.at.twin)
-        count, name = len(twin.base.parameters), self.fault.channel
+        count, name = len(twin.base.parameters), self.faults[0].channel
         best = about_itself(self.at, tolerances)
-        found = replace(self.fault, size=float(best.fit.parameters[count]), std=float(best.fit.std[count]))
-        unit = {"gain": "-", "lag": "s"}.get(found.kind, law_scope_of(twin.base).channel_units.get(name, ""))
+        estimates = zip(self.faults, best.fit.parameters[count:], best.fit.std[count:], strict=True)
+        found = tuple(replace(fault, size=float(size), std=float(std)) for fault, size, std in estimates)
+        absolute = law_scope_of(twin.base).channel_units.get(name, "")
+        units = [{"gain": "-", "lag": "s"}.get(fault.kind, absolute) for fault in found]
+        text = ", ".join(fault.text(unit) for fault, unit in zip(found, units, strict=True))
         return Law(
-            f"sensor:{name}", found.text(unit), cast(float, found.std), unit, name, None, self.gain, self.score,
-            self.rivals, best.fit.parameters[:count], best.fit.local, (), (found,),
+            f"sensor:{name}", text, cast(float, found[0].std), units[0], name, None, self.gain, self.score,
+            self.rivals, best.fit.parameters[:count], best.fit.local, (), found,
         )  # fmt: skip
 
 
 def sensor_fault(
     twin: Twin, at: Linearisation, faults: Sequence[ReadingFault], since_s: float | None = None
 ) -> FaultFit | None:
-    """The fault of a sensor that explains most of what is left of a fit.
+    """The fault of a sensor that explains most of what is left of a fit, with a second one of that sensor (its span and
+    its zero) where that explains enough by itself.
 
     Args:
         twin: without it.
@@ -111,43 +115,51 @@ def sensor_fault(
     """
     tried = [fault for fault in faults if fault.kind != "lag"]
     tried += [replace(fault, size=size) for fault in faults if fault.kind == "lag" for size in (fault.size, *_LAGS_S)]
-    fits = list(_fitted(twin, at, tried, at.fit))
+    fits = list(_fitted(twin, at, [(fault,) for fault in tried], at.fit))
     if not fits:
         return None
     fits.sort(key=lambda item: item[0])
     for reach in () if since_s is None else ONSET_REACHES_S:
-        _, fault, best = fits[0]
+        _, (fault,), best = fits[0]
         fault = replace(fault, size=float(best.fit.parameters[len(twin.parameters)]))
         others = (t for t in times_about(twin, cast(float, fault.since_s), reach) if t != fault.since_s)
-        fits += _fitted(twin, at, [replace(fault, since_s=t) for t in others], best.fit)
+        fits += _fitted(twin, at, [(replace(fault, since_s=t),) for t in others], best.fit)
         fits.sort(key=lambda item: item[0])
-    objective, fault, best = fits[0]
+    objective, (fault,), best = fits[0]
     rivals: dict[tuple[str, str], Rival] = {}
-    for other, weaker, _ in fits[1:]:
+    for other, (weaker,), _ in fits[1:]:
         if other - objective < _RIVALS and (weaker.channel, weaker.kind) != (fault.channel, fault.kind):
             rival = Rival(f"sensor:{weaker.channel}", other - objective)
             rivals.setdefault((weaker.kind, weaker.channel), rival)
     readings = int(at.whitening.present.sum())
     charge = float(np.log(readings) + 2.0 * np.log(2.0 * len(twin.channels)))
-    found = FaultFit(fault, best, at.fit.objective - objective, charge, tuple(rivals.values()))
-    return None if found.score < _RESOLVED else found
+    found = FaultFit((fault,), best, at.fit.objective - objective, charge, tuple(rivals.values()))
+    if found.score < _RESOLVED:
+        return None
+    both = [(fault, replace(fault, kind=kind, size=0.0)) for kind in ("gain", "offset") if kind != fault.kind]
+    joined = min(_fitted(twin, at, both, best.fit), key=lambda item: item[0], default=None)
+    # charged as the first one, chosen among two
+    needed = float(np.log(readings) + 2.0 * np.log(2.0)) + _RESOLVED
+    if joined is None or objective - joined[0] < needed:
+        return found
+    return FaultFit(joined[1], joined[2], at.fit.objective - joined[0], charge + needed - _RESOLVED, found.rivals)
 
 
 def _fitted(
-    twin: Twin, at: Linearisation, faults: Sequence[ReadingFault], start: Fit
-) -> Iterator[tuple[float, ReadingFault, Linearisation]]:
-    """Objective, fault and fit of those that can be fitted, from a fit without or with one like it."""
+    twin: Twin, at: Linearisation, sets: Sequence[tuple[ReadingFault, ...]], start: Fit
+) -> Iterator[tuple[float, tuple[ReadingFault, ...], Linearisation]]:
+    """Objective, faults and fit of the sets that can be fitted, from a fit without or with some like them."""
     P = len(twin.parameters)
-    for fault in faults:
-        wrong = cast(Twin, ReadingTwin(twin, (fault,)))
-        begun = Fit(at.fit.candidate, np.append(start.parameters[:P], fault.size), at.fit.magnitudes, start.local,
-                    np.inf, False)  # fmt: skip
+    for faults in sets:
+        wrong = cast(Twin, ReadingTwin(twin, faults))
+        begun = Fit(at.fit.candidate, np.append(start.parameters[:P], [fault.size for fault in faults]),
+                    at.fit.magnitudes, start.local, np.inf, False)  # fmt: skip
         try:
             fitted = fit_fully(wrong, at.whitening, begun, at.nuisance_response, _ROUNDS)
         except np.linalg.LinAlgError:
             continue
-        if np.isfinite(fitted.fit.objective) and (fault.kind != "lag" or fitted.fit.parameters[P] > 0.0):
-            yield fitted.fit.objective, fault, fitted
+        if np.isfinite(fitted.fit.objective) and (faults[0].kind != "lag" or fitted.fit.parameters[P] > 0.0):
+            yield fitted.fit.objective, faults, fitted
 
 
 def laws_in_turn(

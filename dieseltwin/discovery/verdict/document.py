@@ -206,6 +206,12 @@ class Fit(FrozenModel):
     chi2_per_sample_beyond: NotNegative | None = None
 
     @property
+    def chi2_left(self) -> float | None:
+        """Chi-square per sample that no tolerance takes up; all that is left where that isn't known."""
+        after, beyond = self.chi2_per_sample_after, self.chi2_per_sample_beyond
+        return after if beyond is None else beyond
+
+    @property
     def beyond_tolerances(self) -> bool:
         """Whether more is left than noise, maps and sensors leave: beside quiet sensors tolerances alone leave much."""
         if self.chi2_per_sample_beyond is not None:

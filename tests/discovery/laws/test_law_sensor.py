@@ -63,13 +63,30 @@ def test_a_lag_is_found_where_a_sensor_may_lag() -> None:
         return sensor_fault(cast(Twin, toy), at, faults_of(structure, toy.channels))
 
     without = found()
-    assert without is None or without.fault.kind != "lag"
+    assert without is None or without.faults[0].kind != "lag"
     toy.law_scope = LawScope(lagging_sensors=("y",))  # type: ignore[attr-defined]
     fault = found()
     assert fault is not None and (without is None or fault.gain > 2.0 * without.gain)
     law = fault.law()
     assert law.faults[0].kind == "lag"
     assert law.faults[0].size == pytest.approx(0.8, abs=0.1)
+
+
+def test_span_and_zero_of_a_sensor_are_found_together() -> None:
+    toy = Toy().record()
+    toy.measured[:, 1] = toy.measured[:, 1] * 1.15 - 0.2
+    at = _null(toy)
+    structure = score_features(at, generic_features(cast(Twin, toy), at.fit))
+    fault = sensor_fault(cast(Twin, toy), at, [f for f in faults_of(structure, toy.channels) if f.channel == "y"])
+    assert fault is not None
+    law = fault.law()
+    sizes = {found.kind: (found.size, found.std) for found in law.faults}
+    for kind, truth in (("gain", 0.15), ("offset", -0.2)):
+        size, std = sizes[kind]
+        assert std is not None and size == pytest.approx(truth, abs=4.0 * std) and std < 0.05
+    assert "reading of y (1 + g)" in law.text and "reading of y +" in law.text
+    both = _terms(faults=(ReadingFault("p_im_pa", "gain", 0.1, 0.01), ReadingFault("p_im_pa", "offset", 500.0, 20.0)))
+    assert [term.fault for term in both if isinstance(term, SensorTerm)] == ["gain", "offset"]
 
 
 def test_nothing_on_a_healthy_recording() -> None:
