@@ -130,7 +130,7 @@ def test_simulate(answers: dict[str, tuple[int, str]], folder: Path) -> None:
 
 def test_identify(answers: dict[str, tuple[int, str]], folder: Path) -> None:
     code, said = answers["identify"]
-    assert code == 0 and "classical, 1 runs, 1 segments" in said, said
+    assert code == 0 and "classical, 1 run, 1 segment" in said, said
     assert (folder / "identified" / "figures").is_dir()
 
 

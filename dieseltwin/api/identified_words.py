@@ -10,7 +10,7 @@ import numpy as np
 from dieseltwin.discovery.fit_test import Tolerant
 from dieseltwin.engine import HEALTH_UNITS
 from dieseltwin.identification.result import intervals_from_log_std
-from dieseltwin.notes import Note
+from dieseltwin.notes import Note, counted
 
 MISFIT = 2.0  # chi-square a sample from which the noise or the model is clearly not what was assumed
 MOSTLY_STUCK = 0.5  # share of fits without convergence that is worth a warning: single starts are lost now and then
@@ -72,7 +72,7 @@ def text_table(document: Mapping[str, Any]) -> list[str]:
     value, standard deviation and interval beside tolerances, where `document` has them."""
     segments = document["segments"]
     head = f"{'parameter':<10} {'estimate':>12} {'std':>10} {'90 % interval':>27} {'bound':>10}  unit       segments"
-    lines = [f"{document['method']}, {len(document['runs'])} runs, {len(segments)} segments", head]
+    lines = [f"{document['method']}, {counted(len(document['runs']), 'run')}, {counted(len(segments), 'segment')}", head]
     for name, entry in document["parameters"].items():
         used = sum(bool(segment["parameters"][name]["identifiable"]) for segment in segments)
         if entry["mean"] is None:

@@ -22,6 +22,7 @@ from dieseltwin.cli.options import (
     say,
     strictly,
 )
+from dieseltwin.notes import counted
 from dieseltwin.settings import methods
 from dieseltwin.settings.names import refuse_options, unknown_name
 
@@ -99,7 +100,7 @@ def identify_command(
     question = ask(recording, engine, channels=channels, method=method, runs=runs, segment_s=segment, seed=seed,
                    setup=setup)  # fmt: skip
     with results_in(out, pdf), question.getting_ready():
-        progress(f"{recording}: {len(question.problems)} segments, {question.runs} runs each, {method} ...")
+        progress(f"{recording}: {counted(len(question.problems), 'segment')}, {counted(question.runs, 'run')} each, {method} ...")
         found = question.answer()
         found.save(out)
     say([*found.lines(), f"results: {out}"])

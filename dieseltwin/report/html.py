@@ -10,6 +10,7 @@ from typing import Any
 
 from markupsafe import Markup
 
+from dieseltwin.notes import counted
 from dieseltwin.report import captions, charts, quantities, style, timeseries, training, violins
 from dieseltwin.report.encoding import Drawn, drawn_here
 from dieseltwin.report.interactive import results_series, still
@@ -196,7 +197,7 @@ def _provenance(results: Results) -> list[tuple[str, str]]:
         found.append(
             (
                 label,
-                f"{method.number_of_runs} runs on each of {len(method.segments)} segments"
+                f"{counted(method.number_of_runs, 'run')} on each of {counted(len(method.segments), 'segment')}"
                 + "".join(f", {key} {_plain(value)}" for key, value in method.settings.items()),
             )
         )

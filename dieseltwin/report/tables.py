@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 
 import pandas as pd
 
-from dieseltwin.notes import listing
+from dieseltwin.notes import counted, listing
 from dieseltwin.report import quantities, style
 from dieseltwin.report.results import PARAMETERS, Estimate, MethodResult, Results, SegmentResult
 from dieseltwin.report.statistics import (
@@ -236,7 +236,7 @@ def headline(results: Results) -> str:
     if math.isfinite(method.seconds_per_run):
         runs = method.number_of_runs * count
         duration = number_of_seconds(method, runs)
-        count_words = f" ({runs} runs, {duration} in all)" if runs else ""
+        count_words = f" ({counted(runs, 'run')}, {duration} in all)" if runs else ""
         sentences.append(
             f"It took {quantities.significant(method.seconds_per_run, 2)} s per run{count_words}."
         )
