@@ -72,7 +72,8 @@ def text_table(document: Mapping[str, Any]) -> list[str]:
     value, standard deviation and interval beside tolerances, where `document` has them."""
     segments = document["segments"]
     head = f"{'parameter':<10} {'estimate':>12} {'std':>10} {'90 % interval':>27} {'bound':>10}  unit       segments"
-    lines = [f"{document['method']}, {counted(len(document['runs']), 'run')}, {counted(len(segments), 'segment')}", head]
+    size = f"{counted(len(document['runs']), 'run')}, {counted(len(segments), 'segment')}"
+    lines = [f"{document['method']}, {size}", head]
     for name, entry in document["parameters"].items():
         used = sum(bool(segment["parameters"][name]["identifiable"]) for segment in segments)
         if entry["mean"] is None:

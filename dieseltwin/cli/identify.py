@@ -100,7 +100,8 @@ def identify_command(
     question = ask(recording, engine, channels=channels, method=method, runs=runs, segment_s=segment, seed=seed,
                    setup=setup)  # fmt: skip
     with results_in(out, pdf), question.getting_ready():
-        progress(f"{recording}: {counted(len(question.problems), 'segment')}, {counted(question.runs, 'run')} each, {method} ...")
+        size = f"{counted(len(question.problems), 'segment')}, {counted(question.runs, 'run')} each"
+        progress(f"{recording}: {size}, {method} ...")
         found = question.answer()
         found.save(out)
     say([*found.lines(), f"results: {out}"])
