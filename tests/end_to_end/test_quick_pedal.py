@@ -8,7 +8,9 @@ import pytest
 
 import dieseltwin as dt
 from dieseltwin.challenge.routes import draw_driving
+from dieseltwin.discovery import fit_test
 from dieseltwin.discovery.discover import discover
+from dieseltwin.discovery.fit_test import examine
 from dieseltwin.discovery.search import run as search_run
 from dieseltwin.engine import MEASURED, we2011
 from dieseltwin.recordings.channels import INPUTS
@@ -40,6 +42,16 @@ def test_what_inputs_do_between_the_rows_is_no_fault(monkeypatch: pytest.MonkeyP
     assert not discover(healthy, we2011.PARAMETERS).document.mismatch
     monkeypatch.setattr(search_run, "with_inputs_between_rows", lambda twin, left: None)
     assert discover(healthy, we2011.PARAMETERS).document.mismatch  # as lines it would be one
+
+
+def test_it_is_no_misfit_to_identify_either(monkeypatch: pytest.MonkeyPatch) -> None:
+    healthy = _recorded_at_5_hz({})
+    found = examine(healthy, we2011.PARAMETERS, MEASURED)
+    assert not found.notes and found.health
+    for name, told in found.health.items():
+        assert abs(told.value - getattr(we2011.PARAMETERS, name)) < 4.0 * told.std
+    monkeypatch.setattr(fit_test, "rows_may_be_slow", lambda time_s: False)
+    assert examine(healthy, we2011.PARAMETERS, MEASURED).notes
 
 
 @pytest.mark.thorough
