@@ -6,7 +6,7 @@ import math
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Protocol, TypeAlias, runtime_checkable
+from typing import Any, Protocol, TypeAlias
 
 from dieseltwin.engine import EngineParameters, load_engine, we2011
 from dieseltwin.engine.effects import EFFECTS
@@ -23,7 +23,6 @@ Engine: TypeAlias = EngineParameters | PetrolParameters | RigParameters
 """Parameters of an engine of either kind, or of a machine that is none."""
 
 
-@runtime_checkable
 class HasEngine(Protocol):
     """What `learn`, `calibrate` and `discover` give: an engine, and what is known of it."""
 
@@ -53,10 +52,9 @@ def engine(source: AnyEngine = PUBLISHED, /, **changes: Any) -> Engine:
     Raises:
         InputError: an unknown name, a file that can't be used, a value out of range.
     """
-    if isinstance(source, HasEngine):
-        found = source.engine
-    elif isinstance(source, Engine):
-        found = source
+    given = _parameters(source)
+    if given is not None:
+        found = given
     elif not isinstance(source, str | Path):
         raise InputError("engine", f"a {type(source).__name__}", f"{listed(list(NAMED))}, a file or parameters",
                          'change parameters by name: engine("we2011", V_d=0.0128)')  # fmt: skip
@@ -69,6 +67,12 @@ def engine(source: AnyEngine = PUBLISHED, /, **changes: Any) -> Engine:
     if isinstance(found, EngineParameters):
         return found.replace(**changes)
     return validate(type(found), {**found.model_dump(), **changes}, "engine")
+
+
+def _parameters(source: object) -> Engine | None:
+    """Parameters as they are, or those of what another function gave; None where it is a name or a file."""
+    found = getattr(source, "engine", source)
+    return found if isinstance(found, Engine) else None
 
 
 def _read(path: str | Path) -> Engine:
@@ -86,16 +90,13 @@ def rig_of(source: AnyEngine | None) -> RigParameters | None:
 
 def petrol_base(source: AnyEngine) -> PetrolParameters | None:
     """The petrol engine that is meant, calibrated or not; None for any other machine."""
-    if isinstance(source, HasEngine):
-        source = source.engine
-    if isinstance(source, PetrolParameters):
-        return source
-    if isinstance(source, EngineParameters | RigParameters):
-        return None
+    given = _parameters(source)
+    if given is not None:
+        return given if isinstance(given, PetrolParameters) else None
     named = NAMED.get(str(source))
     if isinstance(named, PetrolParameters):
         return named
-    if os.path.isfile(source) and is_petrol(source):
+    if isinstance(source, str | Path) and os.path.isfile(source) and is_petrol(source):
         return validate(PetrolParameters, read_mapping(source), str(source))
     return None
 

@@ -305,7 +305,7 @@ def ask(
     chosen = find(method, "--method")
     chosen.check_installed()
     settings = setup.settings()
-    runs = settings.identify.runs_of(method) if runs is None else runs
+    runs, seed = settings.identify.runs_of(method) if runs is None else runs, settings.seed if seed is None else seed
     if not 1 <= runs <= MOST_RUNS:
         raise InputError("--runs", runs, f"1 or more, up to {MOST_RUNS}", "choose another number")
     if segment_s is not None and not SEGMENT_RANGE_S[0] <= segment_s <= SEGMENT_RANGE_S[1]:
@@ -323,7 +323,6 @@ def ask(
                for name in SENSORS if name not in used]
     fitted = tuple(used) if masked is not None else tuple(name for name in MEASURED if name in source.columns)
     notes = (*_notes(source, parameters), *channel_notes(source, fitted), *without, *left_out)
-    seed = settings.seed if seed is None else seed
     fit_with = (with_charge(parameters, source), fitted) if setup.fit_test and chosen.needs.maps == EXACT else None
     return IdentificationQuestion(tuple(problems), method, runs, seed, settings, networks, notes, source,
                                   segment_s, masked, fit_with, source.path.name if source.path else "")  # fmt: skip

@@ -34,6 +34,7 @@ Array = NDArray[np.float64]
 GEOMETRY = ("bore_mm", "stroke_mm", "displacement_l")
 STARTS = 3  # of every submodel, besides the base engine's values
 START_SPREAD = 0.7  # prior standard deviations
+BETTER = 1.0  # in log-likelihood: by less another start is no better than the base engine's values
 HELD_OUT = 3  # every third point of a drawn order is held out
 STANDS_STILL = 1e-6  # of its mean: a quantity that moves less has no variance to explain
 WALL_HEATING = "vol_heating"
@@ -263,6 +264,8 @@ def _with_ambient_and_ranges(engine: EngineParameters, points: SteadyPoints) -> 
     changes: dict[str, Any] = {
         "p_amb": float(np.median(points["p_amb_pa"])), "T_amb": float(np.median(points["t_amb_k"])),
     }  # fmt: skip
+    if "t_im_k" in points and np.isfinite(points["t_im_k"]).any():  # the maps are fitted at the charge that was read
+        changes["T_im"] = float(np.nanmedian(points["t_im_k"]))
     for name, column in (("n_e_range", "n_e_rpm"), ("u_delta_range", "u_delta_mg"), ("u_egr_range", "u_egr_pct"),
                          ("u_vgt_range", "u_vgt_pct")):  # fmt: skip
         low, high = getattr(engine, name)
@@ -319,7 +322,7 @@ def _fit(
                     begin.update({c.name: float(np.clip(c.mean + START_SPREAD * c.std * generator.standard_normal(),
                                                         c.low, c.high)) for c in own})
                 found = estimate(model, points, own, begin, rows=(row,), noise=noise, iterations=3)
-                if best is None or found.cost < best.cost * 0.98:
+                if best is None or found.cost < best.cost - BETTER:
                     best = found
             if best is not None:
                 values.update(best.values())

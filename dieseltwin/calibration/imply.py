@@ -37,6 +37,7 @@ LOCAL = ("p_es", "p_bc", "T_im", "eta_c")
 P_ES_SHARE, P_ES_PA = 0.12, 400.0
 P_BC_SHARE, P_BC_PA = 0.25, 150.0
 T_IM_K = 4.0
+T_IM_NOISE = 0.005  # relative, of the charge where it was read
 ETA_C_SHARE = 0.03
 POINT_ERROR = 1.5  # a map's error at one point is smooth: readings there tell less than the scatter suggests
 # Heat that the turbine's housing gives the compressed air, h (T_em - T_c): most at little flow (heavy-duty practice)
@@ -170,9 +171,14 @@ class Answerer:
         else:
             S = np.sqrt(foretold.variance + (POINT_ERROR * foretold.own) ** 2)
         here = _Balances(model, points, foretold)
-        deviations = self._deviations(model, points, np.exp(centre))
+        expected = model.relations(points, np.exp(centre), self.values).quantities
+        off, deviations = np.zeros((points.size, len(LOCAL))), self._deviations(points, expected)
+        if "t_im_k" in points:
+            read, at = points["t_im_k"] / expected["T_im"][0] - 1.0, LOCAL.index("T_im")
+            off[:, at] = np.nan_to_num(read)
+            deviations[:, at] = np.where(np.isfinite(read), T_IM_NOISE, deviations[:, at])
         variance = np.concatenate([prior**2, deviations**2], axis=1)
-        y0 = np.concatenate([centre, np.zeros((points.size, len(LOCAL)))], axis=1)
+        y0 = np.concatenate([centre, off], axis=1)
         y, gain, posterior = here.solve(self.values, y0, variance, S)
         r = here.residual(y, self.values)
         left = np.sum((y - y0) ** 2 / variance, axis=1) + np.sum((r[0] / S) ** 2, axis=1)
@@ -193,8 +199,8 @@ class Answerer:
         signs = np.array([np.sign(lanes[n][i + 1] - self.values[n]) or 1.0 for i, n in enumerate(self.names)])
         return lanes, SHARE * signs[:, None]
 
-    def _deviations(self, model: SteadyModel, points: SteadyPoints, x: Array) -> Array:
-        q = model.relations(points, x, self.values).quantities
+    def _deviations(self, points: SteadyPoints, q: Mapping[str, Array]) -> Array:
+        """(n, 4) how far the laws of `LOCAL` may be off where they say what `q` holds [-]."""
         p_0 = points["p_amb_pa"]
         p_es, p_bc, T_im = q["p_es"][0], q["p_bc"][0], q["T_im"][0]
         parts = [

@@ -57,7 +57,7 @@ class Estimate:
         x: (n, 6) states after reconciliation.
         discrepancy: (R,) standard deviation of each relation beyond sensor noise [-].
         residual: (n, R) whitened residuals.
-        cost: half the sum of robust squares, prior included.
+        cost: half the sum of robust squares, with the prior and with what normalises the errors.
         inflation: how many times the information was divided because neighbouring points err alike.
         converged: whether the last iterations changed nothing of note.
     """
@@ -203,7 +203,7 @@ def estimate(
     x = points.states_filled()
     S = np.array([(discrepancy or {}).get(name, 0.02) for name in model.rows])
     least = np.array([(floors or {}).get(name, FLOOR) for name in model.rows])
-    inflation, cost, change, solution = 1.0, np.inf, np.inf, None
+    inflation, change, solution = 1.0, np.inf, None
     P = len(coefficients)
     for iteration in range(iterations):
         linear = _linearised(model, points, x, measured, values, sigma, S, keep)
@@ -233,7 +233,6 @@ def estimate(
         change = float(np.max(np.abs(solution.x - z))) if P else 0.0
         theta = solution.x * std + mean
         values.update({c.name: float(t) for c, t in zip(coefficients, theta, strict=True)})
-        cost = float(solution.cost)
         x = _reconciled(model, points, x, measured, values, linear, sigma, keep)
         S = np.maximum(_discrepancy(model, points, x, values, S, keep, linear), least)
         if change < SETTLED and iteration >= 3:
@@ -242,6 +241,10 @@ def estimate(
             inflation = correlation_inflation(points, _whitened_residual(model, points, x, values, linear, keep))
     linear = _linearised(model, points, x, measured, values, sigma, S, keep)
     residual = _whitened_residual(model, points, x, values, linear, keep)
+    # with what normalises it: a wide error of the relation would make any coefficients cheap
+    robust = ROBUST**2 * float(np.sum(np.sqrt(1.0 + (residual / ROBUST) ** 2) - 1.0))
+    normaliser = float(np.sum(np.log(np.einsum("nii->ni", linear.whiten))))
+    cost = robust - normaliser + 0.5 * float(np.sum(((theta - mean) / std) ** 2))
     J = solution.jac if solution is not None else np.zeros((1, P))
     information = J.T @ J + 1e-12 * np.eye(P)
     covariance = np.linalg.pinv(information) * np.outer(std, std)

@@ -19,7 +19,16 @@ from dieseltwin.engine.binding import bind
 from dieseltwin.errors import InputError
 from dieseltwin.inner import kernel
 from dieseltwin.petrol.blocks import LEAST_FLOW
-from dieseltwin.petrol.components import CHOKED_FACTOR, CRITICAL, GAMMA, LINEAR_ABOVE, R_A, displaced_flow, storage_flow
+from dieseltwin.petrol.components import (
+    CHOKED_FACTOR,
+    CRITICAL,
+    GAMMA,
+    LEAK_LINEAR_ABOVE,
+    LINEAR_ABOVE,
+    R_A,
+    displaced_flow,
+    storage_flow,
+)
 from dieseltwin.petrol.effects import HYPOTHESES, later, metered, undo_all
 from dieseltwin.petrol.maps import STRAIGHT, spline_basis, tensor_value
 from dieseltwin.petrol.model import opening
@@ -40,14 +49,14 @@ _nozzle_flow_factor = bind("numba").nozzle_flow_factor
 
 
 @kernel()  # type: ignore[untyped-decorator]
-def _psi(quotient):  # type: ignore[no-untyped-def]
+def _psi(quotient, linear_above):  # type: ignore[no-untyped-def]
     """Flow factor of a nozzle, as `components.nozzle_factor`."""
     if quotient >= 1.0:
         return 0.0
     if quotient <= CRITICAL:  # most of the time; a known number is faster
         return CHOKED_FACTOR
-    psi = _nozzle_flow_factor(min(quotient, LINEAR_ABOVE), GAMMA, CRITICAL)
-    return psi * min((1.0 - quotient) / (1.0 - LINEAR_ABOVE), 1.0)
+    psi = _nozzle_flow_factor(min(quotient, linear_above), GAMMA, CRITICAL)
+    return psi * min((1.0 - quotient) / (1.0 - linear_above), 1.0)
 
 
 @kernel()  # type: ignore[untyped-decorator]
@@ -61,11 +70,12 @@ def _looked_up(x, low, step, table):  # type: ignore[no-untyped-def]
 def _inflow(p, k, inputs, eta, eta_low, eta_step, factor, factor_step):  # type: ignore[no-untyped-def]
     """Flow through the throttle, through a leak into the manifold, and into the cylinders at pressure p [kg/s]."""
     area, p_ic, T_ic, leak, p_amb, T_amb, per_p, row = inputs[k]
-    psi = _psi(p / p_ic)
+    psi = _psi(p / p_ic, LINEAR_ABOVE)
     through = area * np.exp(_looked_up(psi, 0.0, factor_step, factor)) * p_ic / np.sqrt(R_A * T_ic) * psi
     inward = 0.0
     if leak > 0.0:
-        inward = leak * (p_amb / np.sqrt(R_A * T_amb) * _psi(p / p_amb) - p / np.sqrt(R_A * T_ic) * _psi(p_amb / p))
+        out = p / np.sqrt(R_A * T_ic) * _psi(p_amb / p, LEAK_LINEAR_ABOVE)
+        inward = leak * (p_amb / np.sqrt(R_A * T_amb) * _psi(p / p_amb, LEAK_LINEAR_ABOVE) - out)
     place = min(max(row, 0.0), eta.shape[0] - 1.000001)
     i = int(place)
     share, x = place - i, np.log(p)

@@ -24,8 +24,22 @@ def without_codes(column: str, written: np.ndarray, values: np.ndarray) -> tuple
     """
     if column not in BY_COLUMN:
         return values, []
-    range_ = BY_COLUMN[column]
-    coded = np.isin(written, ERROR_CODES) & ((values < range_.low) | (values > range_.high))
+    return _without(column, written, values, BY_COLUMN[column].low, BY_COLUMN[column].high)
+
+
+def without_outlying_codes(column: str, values: np.ndarray) -> tuple[np.ndarray, list[str]]:
+    """The same of a column whose range nobody knows: a code lies beyond all other values by more than their span."""
+    others = values[np.isfinite(values) & ~np.isin(values, ERROR_CODES)]
+    if not others.size:
+        return values, []
+    low, high = float(others.min()), float(others.max())
+    return _without(column, values, values, 2.0 * low - high, 2.0 * high - low)
+
+
+def _without(
+    column: str, written: np.ndarray, values: np.ndarray, low: float, high: float
+) -> tuple[np.ndarray, list[str]]:
+    coded = np.isin(written, ERROR_CODES) & ((values < low) | (values > high))
     codes = int(np.count_nonzero(coded))
     if not 0 < codes <= MOST_CODES * coded.size:
         return values, []

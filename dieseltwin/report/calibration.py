@@ -22,7 +22,13 @@ TITLES = {
     "compressor_flow": ("Compressor flow", "compressor flow W_c", "kg/s", 1.0),
     "egr_flow": ("EGR valve", "EGR flow W_egr", "kg/s", 1.0),
     "exhaust_temperature": ("Exhaust temperature", "exhaust temperature T_em", "K", 1.0),
+    "compressor_work": ("Compressor work", "compressor efficiency eta_c", "-", 1.0),
+    "T_im": ("Charge temperature", "charge temperature T_im", "K", 1.0),
+    "T_c": ("Temperature behind the compressor", "temperature behind the compressor T_c", "K", 1.0),
+    "p_es": ("Pressure behind the turbine", "pressure behind the turbine p_es", "kPa", 1e-3),
+    "p_bc": ("Pressure before the compressor", "pressure before the compressor p_bc", "kPa", 1e-3),
 }
+"""Row of `SteadyModel.relations` -> title of its figure, measured quantity, unit, scale."""
 
 
 def parity(relations: Relations, mask: np.ndarray, told: tuple[str, str, str]) -> Series:

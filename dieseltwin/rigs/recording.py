@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from dieseltwin.errors import InputError
 from dieseltwin.notes import Note
 from dieseltwin.recordings.channels import TIME
+from dieseltwin.recordings.error_codes import without_outlying_codes
 from dieseltwin.recordings.named_columns import Imported, named_columns, numbers
 from dieseltwin.rigs.parameters import RigParameters
 from dieseltwin.settings.names import listed
@@ -73,9 +74,13 @@ def read_rig(source: str | Path | pd.DataFrame | Imported, rig: RigParameters) -
         if not np.isfinite(values).all():
             raise InputError(f"{where}: column {name}, sample {int(np.flatnonzero(~np.isfinite(values))[0]) + 1}",
                              "no number", "a number in every row of an input", "fill in or drop this row")
+    coded: list[Note] = []
+    for name in (name for name in rig.readings if name in columns):
+        columns[name], said = without_outlying_codes(name, columns[name])
+        coded += [Note(text, "reading", (name,)) for text in said]
     readings = {name: columns[name][:n : rig.every] for name in rig.readings
                 if name in columns and np.isfinite(columns[name][:n : rig.every]).any()}  # fmt: skip
-    return RigRecording(time_s, inputs, readings, where, digest, notes)
+    return RigRecording(time_s, inputs, readings, where, digest, (*notes, *coded))
 
 
 def _refuse_disorder(time_s: Array, where: str) -> None:

@@ -52,11 +52,12 @@ def settings() -> dict[str, Any]:
 def looked_up(made: Step, context: RunContext) -> set[str]:
     """Sections that the modules of a step look up."""
     found: set[str] = set()
-    for module in set(made.code(context).modules) & context.sources.modules - {"dieseltwin.settings.params"}:
+    defined = {"dieseltwin.settings.params", "dieseltwin.settings.defaults"}
+    for module in set(made.code(context).modules) & context.sources.modules - defined:
         path = PROJECT / module.replace(".", "/")
         text = (path / "__init__.py" if path.is_dir() else path.with_suffix(".py")).read_text(encoding="utf-8")
         for name, sections in LOOK_UPS.items():
-            if re.search(rf"^from dieseltwin.settings.params import [^#]*\b{name}\b", text, re.MULTILINE):
+            if re.search(rf"^from dieseltwin.settings.(?:params|defaults) import [^#]*\b{name}\b", text, re.MULTILINE):
                 found |= sections
     return found
 
@@ -107,7 +108,7 @@ def test_given_sections_stand_for_the_files_in_a_process_and_those_it_starts(mon
     section["search"]["driving"]["alarm_gain"] = 31.5
     monkeypatch.setenv(SECTIONS_VARIABLE, json.dumps({"discover": section}))
     assert default_search().driving.alarm_gain == default_discover().search.driving.alarm_gain == 31.5
-    program = "from dieseltwin.settings.params import default_search; print(default_search().driving.alarm_gain)"
+    program = "from dieseltwin.settings.defaults import default_search; print(default_search().driving.alarm_gain)"
     said = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, cwd=PROJECT)
     assert said.stdout == "31.5\n"
 

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from dieseltwin.petrol.components import (
     CRITICAL,
+    LEAK_LINEAR_ABOVE,
     R_A,
     displaced_flow,
     nozzle_factor,
@@ -19,6 +20,7 @@ from dieseltwin.petrol.components import (
 from dieseltwin.petrol.effects import undo
 from dieseltwin.petrol.maps import roughness, spline_basis, sum_basis, tensor_basis
 from dieseltwin.petrol.recording import Signals
+from dieseltwin.petrol.simulate import _psi
 
 pressure = st.floats(1.5e4, 2.5e5)
 
@@ -41,6 +43,17 @@ def test_nozzle_factor_falls_with_the_quotient(a: float, b: float) -> None:
 def test_leak_runs_down_the_pressure(inside: float, outside: float) -> None:
     flow = float(signed_leak(1e-6, np.array([inside]), np.array([300.0]), np.array([outside]), np.array([300.0]))[0])
     assert flow == 0.0 if inside == outside else np.sign(flow) in (0.0, np.sign(outside - inside))
+
+
+@pytest.mark.parametrize("above_pa", [75.0, 120.0, 1000.0, 30e3])
+def test_a_leak_is_a_nozzle_where_pressures_nearly_agree(above_pa: float) -> None:
+    """Before the throttle the charge is 75 to 120 Pa above ambient in much of a drive."""
+    p_amb, T, area, gamma = 1e5, 310.0, 15e-6, 1.4
+    quotient = p_amb / (p_amb + above_pa)
+    psi = np.sqrt(2 * gamma / (gamma - 1) * (quotient ** (2 / gamma) - quotient ** ((gamma + 1) / gamma)))
+    out = -float(signed_leak(area, np.array([p_amb + above_pa]), np.array([T]), np.array([p_amb]), np.array([T]))[0])
+    assert out == pytest.approx(area * (p_amb + above_pa) / np.sqrt(R_A * T) * psi, rel=1e-9)
+    assert _psi(quotient, LEAK_LINEAR_ABOVE) == pytest.approx(psi, rel=1e-9)  # in the simulator as well
 
 
 def test_displaced_flow_and_filling() -> None:

@@ -203,6 +203,16 @@ def test_a_machine_without_its_sensor_starts_where_its_file_says(change: Any, ta
     assert table["level"].to_numpy() == pytest.approx(3.0 * np.exp(-0.5 * table["time_s"]), rel=1e-3)
 
 
+def test_an_error_code_among_the_readings_is_missing_and_said(tank: RigParameters) -> None:
+    table = emptying(0.5)
+    table.loc[7, "level"] = -9999.0
+    read = read_rig(table, tank)
+    assert np.flatnonzero(np.isnan(read.readings["level"])).tolist() == [7]
+    assert any("error code (-9999)" in note and "level" in note for note in read.notes)
+    wide = table.assign(level=np.where(table["level"] > 1.0, -999.0, table["level"] * 1e5))  # it may be a reading here
+    assert np.isfinite(read_rig(wide.drop(index=7), tank).readings["level"]).all()
+
+
 def test_behind_a_gap_a_machine_starts_anew(tank: RigParameters) -> None:
     """Inflow that nobody recorded: one straight line over the gap would be held against the parameters."""
     second = emptying(0.5, 40).assign(time_s=lambda t: t["time_s"] + 60.0)

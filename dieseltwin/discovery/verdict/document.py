@@ -208,15 +208,12 @@ class Fit(FrozenModel):
     @property
     def chi2_left(self) -> float | None:
         """Chi-square per sample that no tolerance takes up; all that is left where that isn't known."""
-        after, beyond = self.chi2_per_sample_after, self.chi2_per_sample_beyond
-        return after if beyond is None else beyond
+        return self.chi2_per_sample_after if self.chi2_per_sample_beyond is None else self.chi2_per_sample_beyond
 
     @property
     def beyond_tolerances(self) -> bool:
         """Whether more is left than noise, maps and sensors leave: beside quiet sensors tolerances alone leave much."""
-        if self.chi2_per_sample_beyond is not None:
-            return self.chi2_per_sample_beyond > LEFT_OVER
-        return (self.chi2_per_sample_after or 0.0) > NOTED_CHI2
+        return (self.chi2_left or 0.0) > (NOTED_CHI2 if self.chi2_per_sample_beyond is None else LEFT_OVER)
 
 
 class FoundCircumstance(FrozenModel):
@@ -341,8 +338,7 @@ def fit_doubts(document: Discrepancy) -> list[Note]:
 
 
 def _no_repeats(names: list[str], what: str) -> None:
-    repeated = [name for name, count in Counter(names).items() if count > 1]
-    if repeated:
+    if repeated := [name for name, count in Counter(names).items() if count > 1]:
         raise ValueError(f"{what} {repeated[0]!r} is given twice")
 
 
