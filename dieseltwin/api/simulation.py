@@ -20,7 +20,7 @@ from dieseltwin.errors import InputError
 from dieseltwin.notes import counted
 from dieseltwin.petrol.parameters import PetrolParameters
 from dieseltwin.petrol.recording import PetrolRecording
-from dieseltwin.petrol.simulate import simulate_petrol
+from dieseltwin.petrol.simulate import beyond_maps, simulate_petrol
 from dieseltwin.recordings.channels import INPUTS, optional_inputs
 from dieseltwin.recordings.reader import Recording, write_recording
 from dieseltwin.rigs.parameters import RigParameters
@@ -106,7 +106,8 @@ def simulate(
             raise InputError("inputs", "those of a diesel engine", "a petrol engine's recording", "name its file")
         recorded = petrol_recording(inputs, channels)
         readings = {"p_im_pa": recorded.signals.p_im, "w_af_kg_s": recorded.signals.W_af}
-        return Simulation(simulate_petrol(machine, recorded), machine, readings)
+        frame = simulate_petrol(machine, recorded)
+        return Simulation(frame, machine, readings, tuple(beyond_maps(machine, frame)))
     if isinstance(inputs, PetrolRecording):
         raise InputError("inputs", "a petrol engine's recording", "inputs of a diesel engine", "name a petrol engine")
     parameters = with_effects(machine, effects)

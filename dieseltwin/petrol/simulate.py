@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from dieseltwin.engine.binding import bind
 from dieseltwin.errors import InputError
 from dieseltwin.inner import kernel
+from dieseltwin.notes import Note
 from dieseltwin.petrol.blocks import LEAST_FLOW
 from dieseltwin.petrol.components import (
     CHOKED_FACTOR,
@@ -27,10 +28,11 @@ from dieseltwin.petrol.components import (
     LINEAR_ABOVE,
     R_A,
     displaced_flow,
+    nozzle_factor,
     storage_flow,
 )
 from dieseltwin.petrol.effects import HYPOTHESES, later, metered, undo_all
-from dieseltwin.petrol.maps import STRAIGHT, spline_basis, tensor_value
+from dieseltwin.petrol.maps import STRAIGHT, beyond, spline_basis, tensor_value
 from dieseltwin.petrol.model import opening
 from dieseltwin.petrol.parameters import PetrolParameters
 from dieseltwin.petrol.recording import PetrolRecording, Signals, gaps
@@ -41,6 +43,7 @@ Array = NDArray[np.float64]
 SPEEDS, PRESSURES, FACTORS = 78, 192, 80  # points of the tables that the maps are looked up in
 LEAST_PRESSURE, ABOVE_P_IC = 5e3, 1.02  # Pa; largest p_im over p_ic [-]: the solution is looked for between
 HALVINGS = 40
+LONGEST_ROW_S, LEAST_BEYOND_S = 1.0, 1.0  # a row counts for no more behind a gap; less than that is no news
 SLOPE_S = 0.35  # over which the filling of the volume before the throttle is taken, as in the balances
 READ = ("p_im_gain", "p_im_offset", "p_im_late")  # faults of the state's sensor
 
@@ -154,6 +157,22 @@ def simulate_petrol(engine: PetrolParameters, recording: PetrolRecording) -> pd.
         raise InputError(f"simulating {recording.path}", "values that are not finite", "inputs of a running engine",
                          "check the inputs and --engine")  # fmt: skip
     return table
+
+
+def beyond_maps(engine: PetrolParameters, frame: pd.DataFrame) -> list[Note]:
+    """How long a simulation (`simulate_petrol`) is too far beyond what was learned; none where it isn't."""
+    cylinder, throttle = engine.maps
+    p_im, angle = frame["p_im_true_pa"].to_numpy(), frame["alpha_th_pct"].to_numpy()
+    psi = nozzle_factor(p_im / frame["p_ic_pa"].to_numpy())
+    arguments = ((cylinder.knots_x, frame["omega_e_rad_s"].to_numpy()), (cylinder.knots_y, np.log(p_im)),
+                 (throttle.knots_x, opening(angle)), (throttle.knots_y, psi))  # fmt: skip
+    far = np.any([np.abs(beyond(values, np.array(knots))) > STRAIGHT for knots, values in arguments], axis=0)
+    steps = np.diff(frame["time_s"].to_numpy(), append=frame["time_s"].iloc[-1])
+    seconds = float(np.sum(np.minimum(steps, LONGEST_ROW_S)[far]))
+    if seconds < LEAST_BEYOND_S:
+        return []
+    return [Note(f"{seconds:.0f} s lie too far beyond the driving that the engine was learned from, and are "
+                 "extrapolated; learn it from driving that goes as far", "extrapolated")]  # fmt: skip
 
 
 def _inputs(

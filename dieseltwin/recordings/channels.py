@@ -38,6 +38,7 @@ from dieseltwin.recordings.error_codes import without_codes
 from dieseltwin.recordings.time_units import SECONDS
 from dieseltwin.sensors import MEASURED, NEEDED
 from dieseltwin.settings.strict import StrictModel, did_you_mean, listed, read_mapping, unknown_name, validate
+from dieseltwin.symbols import BY_COLUMN
 
 TIME = "time_s"
 DATABASE_KEY = "dbc"  # key of a channel map that names a database of CAN messages instead of a channel
@@ -332,7 +333,7 @@ def foreign_hint(missing: str, columns: Iterable[str]) -> str:
     available = [c for c in columns if c != missing]
     if THROTTLE in {c.strip().lower() for c in available}:
         return "these are a petrol engine's columns: give its file, or liu_petrol (--engine)"
-    hint = did_you_mean(missing, available)
+    hint = did_you_mean(missing, [c for c in available if c not in BY_COLUMN])  # what has our name is what it says
     if hint.startswith("did you mean"):
         return f"{hint} rename it or give a channel map (--channels)"
     if missing == TIME:

@@ -57,7 +57,7 @@ def document(result: RigDiscovery) -> Discrepancy:
         recording=RecordingInfo(path=recording.path, sha256=recording.sha256,
                                 duration_s=float(recording.time_s[-1] - recording.time_s[0]),
                                 channels=tuple(recording.readings)),
-        mismatch=bool(entries), p_value=p_value(first.found),
+        mismatch=bool(entries), p_value=p_value(first.found) if entries else 1.0,
         location=_location(first, result.onset_s) if entries else None,
         effects=entries, more_is_missing=result.more_is_missing,
         health={name: HealthValue(value=p.value, std=p.std, before=before[name].value) for name, p in after.items()},
@@ -199,7 +199,8 @@ def sentence(result: RigDiscovery, found: Discrepancy) -> str:
         unexplained = [doubt.text for doubt in found.warnings if doubt.code == UNEXPLAINED]
         if unexplained:
             return f"Nothing can be said of {name}: {'; '.join(unexplained)}."
-        return f"No mismatch of {name} beyond what its recording can tell."
+        left = ", ".join(_measured(result, column, f"{rmse:.3g}") for column, rmse in found.fit.rmse_after.items())
+        return f"No mismatch of {name} beyond what its recording can tell; its fit leaves {left} (rms)."
     told = []
     for e in found.effects:
         if e.magnitude is None:
@@ -216,14 +217,18 @@ def sentence(result: RigDiscovery, found: Discrepancy) -> str:
     text = f"{name}, first at {found.location.site}: {'; '.join(told)}."
     if judged:
         errors = zip(result.fit_before.twin.channels, judged[0].before, judged[-1].after, strict=True)
-        units = {state.nearest: state.unit for state in result.repaired.states.values()}  # a sensor shows its state
-        shown = (f"{c} {b:.3g} -> {a:.3g} {units.get(c, '')}".removesuffix(" -").rstrip() for c, b, a in errors
-                 if not np.isnan(b))
+        shown = (_measured(result, c, f"{b:.3g} -> {a:.3g}") for c, b, a in errors if not np.isnan(b))
         text += f" Free runs no fit has seen, rms: {', '.join(shown)}"
         percent = round(100.0 * (found.fit.share_explained or 0.0))
         text += (f", {percent} % of the squared error explained." if percent
                  else ": what was found fits better where it was fitted, and foretells these no better.")
     return text
+
+
+def _measured(result: RigDiscovery, column: str, numbers: str) -> str:
+    """Numbers of a reading with its name and its unit, that of the state that it shows."""
+    units = {state.nearest: state.unit for state in result.repaired.states.values()}
+    return f"{column} {numbers} {units.get(column, '')}".removesuffix(" -").rstrip()
 
 
 def details(result: RigDiscovery, asked: Mapping[str, Any]) -> dict[str, Any]:

@@ -26,7 +26,7 @@ from dieseltwin.petrol.discover import discover_petrol, judge, next_single
 from dieseltwin.petrol.effects import HYPOTHESES, undo
 from dieseltwin.petrol.parameters import PetrolParameters, load_petrol, save_petrol
 from dieseltwin.petrol.recording import PetrolRecording, gaps, read_petrol
-from dieseltwin.petrol.simulate import simulate_petrol
+from dieseltwin.petrol.simulate import beyond_maps, simulate_petrol
 from dieseltwin.petrol.twin import PetrolTwin
 from dieseltwin.report.petrol import petrol_page
 
@@ -336,3 +336,11 @@ def test_a_size_at_its_limit_is_no_name(engine: PetrolParameters, record: Record
         if name == "intake_leak"
     )  # fmt: skip
     assert found.kind == "law" and not at_limit
+
+
+def test_a_simulation_beyond_the_maps_says_so(engine: PetrolParameters, record: Recorder) -> None:
+    table = simulate_petrol(engine, record(1, 900.0))
+    assert beyond_maps(engine, table) == []
+    racing = table.assign(omega_e_rad_s=np.where(table["time_s"] < 60.0, 1200.0, table["omega_e_rad_s"]))
+    (note,) = beyond_maps(engine, racing)
+    assert note.code == "extrapolated" and str(note).startswith("note: 60 s lie too far beyond")
