@@ -276,7 +276,7 @@ def _known(
         return learned_engine_of(engine), ()
     from dieseltwin.api.learning import known_engine  # with what calibration needs, a third of a second
 
-    return known_engine(engine, question.reference, channels)
+    return known_engine(engine, question.reference, channels, question.sensors)
 
 
 def _length_notes(where: str, judged: Recording, whole: Recording) -> list[Note]:

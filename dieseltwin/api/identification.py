@@ -25,6 +25,7 @@ from dieseltwin.errors import InputError
 from dieseltwin.identification.identify import identify_segments
 from dieseltwin.identification.problem import NoiseLevels, SegmentProblem, problems_from_recording
 from dieseltwin.identification.result import Identification, curves_table
+from dieseltwin.learning.files import LearnedEngine, learned_engine_of
 from dieseltwin.notes import Note, doubts_among, of_reading, warnings_of
 from dieseltwin.recordings.channel_checks import channel_notes
 from dieseltwin.recordings.channels import SENSORS
@@ -212,7 +213,7 @@ class IdentificationQuestion:
         networks: that the method needs.
         notes: what is doubtful or left out, one sentence each.
         recording: what was read; segment_s, sensors: as asked.
-        tested: engine and sensors that the fit is tested with; None without a test.
+        tested: engine, sensors and what is known of it that the fit is tested with; None without a test.
         recording_name: for people, "" for one made in memory.
     """
 
@@ -226,7 +227,7 @@ class IdentificationQuestion:
     recording: Recording
     segment_s: float | None
     sensors: tuple[str, ...] | None
-    tested: tuple[EngineParameters, tuple[str, ...]] | None
+    tested: tuple[EngineParameters, tuple[str, ...], LearnedEngine | None] | None
     recording_name: str = ""
 
     def getting_ready(self) -> AbstractContextManager[None]:
@@ -323,7 +324,8 @@ def ask(
                for name in SENSORS if name not in used]
     fitted = tuple(used) if masked is not None else tuple(name for name in MEASURED if name in source.columns)
     notes = (*_notes(source, parameters), *channel_notes(source, fitted), *without, *left_out)
-    fit_with = (with_charge(parameters, source), fitted) if setup.fit_test and chosen.needs.maps == EXACT else None
+    whole = setup.fit_test and chosen.needs.maps == EXACT
+    fit_with = (with_charge(parameters, source), fitted, learned_engine_of(engine)) if whole else None
     return IdentificationQuestion(tuple(problems), method, runs, seed, settings, networks, notes, source,
                                   segment_s, masked, fit_with, source.path.name if source.path else "")  # fmt: skip
 
@@ -386,12 +388,8 @@ def _usable(problems: list[SegmentProblem], source: Recording) -> tuple[list[Seg
 
 
 def _notes(source: Recording, parameters: EngineParameters) -> list[Note]:
-    ranges = {
-        "n_e_rpm": parameters.n_e_range,
-        "u_delta_mg": parameters.u_delta_range,
-        "u_egr_pct": parameters.u_egr_range,
-        "u_vgt_pct": parameters.u_vgt_range,
-    }
+    ranges = {"n_e_rpm": parameters.n_e_range, "u_delta_mg": parameters.u_delta_range,
+              "u_egr_pct": parameters.u_egr_range, "u_vgt_pct": parameters.u_vgt_range}  # fmt: skip
     counts = rows_out_of_range(source.columns, ranges)
     read = [of_reading(note) for note in source.notes]
     return read + [Note(f"{count} of {len(source.time_s)} rows of {name} are outside the engine's range "

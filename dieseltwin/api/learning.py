@@ -17,7 +17,7 @@ from dieseltwin.api.reading import Channels, Made, Source, diesel_recording, sev
 from dieseltwin.api.results import Result, drawn
 from dieseltwin.discovery.reference.learn import Learned, learn_engine
 from dieseltwin.discovery.verdict.checks import check_recording, check_rows
-from dieseltwin.engine import HEALTH, EngineParameters, we2011
+from dieseltwin.engine import HEALTH, MEASURED, EngineParameters, we2011
 from dieseltwin.engine.map_corrections import ARGUMENTS, CORRECTED_POINTS, basis
 from dieseltwin.errors import InputError
 from dieseltwin.learning.belief import Further, prior_belief
@@ -28,6 +28,7 @@ from dieseltwin.learning.siblings import belief_from_siblings
 from dieseltwin.notes import Note, counted, of_reading
 from dieseltwin.paths import YAML_ENDINGS
 from dieseltwin.petrol.parameters import PetrolParameters
+from dieseltwin.recordings.columns import Columns
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.recordings.shared_rows import distinct, refuse_overlapping
 from dieseltwin.report import quantities
@@ -108,6 +109,7 @@ def learn(
     engine: AnyEngine | None = None,
     *,
     channels: Channels | None = None,
+    sensors: Sequence[str] | None = None,
     map_error: float | None = None,
     siblings: str | Path | Sequence[str | Path] = (),
 ) -> LearnedResult | PetrolCalibrated:
@@ -119,6 +121,7 @@ def learn(
         recordings: of the engine when it was known to be well, files or tables; one that comes twice counts once.
         engine: the base, or the file of an engine that was learned before, which is then known further.
         channels: channel map of the recordings.
+        sensors: columns to use; None is all that there are, which must be the paper's five at least.
         map_error: size of the maps' errors that is believed [-]; None takes that of params.yaml.
         siblings: files of learned engines of the same type; what their maps have in common is believed of this one.
 
@@ -131,17 +134,18 @@ def learn(
         raise InputError("HEALTHY", "no recording", "one or more of the engine when it was well", "name them")
     petrol = None if engine is None else petrol_base(engine)
     if petrol is not None:
-        refuse_options({"--map-error": map_error, "--siblings": siblings or None}, "for a petrol engine")
+        refuse_options({"--map-error": map_error, "--siblings": siblings or None, "--sensors": sensors},
+                       "for a petrol engine")  # fmt: skip
         if petrol.calibrated:
             raise InputError("--engine", f"{named(engine, petrol)}, which has its maps", "a petrol engine without maps",
                              f"name {PetrolParameters().name} or the file of volumes, and all recordings at once")
         return learn_petrol(recordings, petrol, channels)
-    return _learn_diesel(recordings, engine, channels, map_error, siblings)
+    return _learn_diesel(recordings, engine, channels, sensors, map_error, siblings)
 
 
 def _learn_diesel(
     recordings: Sequence[Source | Made], engine: AnyEngine | None, channels: Channels | None,
-    map_error: float | None = None, siblings: Sequence[str | Path] = (),
+    sensors: Sequence[str] | None, map_error: float | None = None, siblings: Sequence[str | Path] = (),
 ) -> LearnedResult:  # fmt: skip
     low, high = MAP_ERRORS
     if map_error is not None and not low <= map_error <= high:
@@ -156,7 +160,11 @@ def _learn_diesel(
     notes: list[str] = []
     for item in recordings:
         source = diesel_recording(item, channels, base, sensors=())
-        told = (*source.notes, *check_recording(source, base, None)[1])
+        used, doubts = check_recording(source, base, sensors)
+        if sensors is not None:
+            source = replace(source, columns=Columns({
+                name: values for name, values in source.columns.items() if name not in MEASURED or name in used}))
+        told = (*source.notes, *doubts)
         notes += [of_reading(note, f"{source.path or 'recording'}: ") for note in told]
         sources.append(source)
     earlier = () if before is None else before.recordings
@@ -183,14 +191,15 @@ def _learn_diesel(
 
 
 def known_engine(
-    engine: AnyEngine | None, reference: Sequence[Source | Recording], channels: Channels | None
-) -> tuple[LearnedEngine, Sequence[Note]]:
+    engine: AnyEngine | None, reference: Sequence[Source | Recording], channels: Channels | None,
+    sensors: Sequence[str] | None = None,
+) -> tuple[LearnedEngine, Sequence[Note]]:  # fmt: skip
     """What recordings of an engine when it was well tell of it, and notes.
 
     Raises:
         InputError: as `learn`.
     """
-    result = _learn_diesel(reference, engine, channels)
+    result = _learn_diesel(reference, engine, channels, sensors)
     return result.known, [Note(note.removeprefix("note: "), "reference") for note in result.notes]
 
 

@@ -13,8 +13,10 @@ from dieseltwin.cli.options import (
     EngineFile,
     ParamsFile,
     Profile,
+    Sensors,
     check_apart,
     check_ending,
+    names,
     progress,
     readable,
     readable_engines,
@@ -35,6 +37,7 @@ def learn_command(
     ],
     engine: EngineFile = None,
     channels: ChannelsFile = None,
+    sensors: Sensors = None,
     map_error: Annotated[
         float | None,
         typer.Option("--map-error", metavar="X", help="Believed rms of the maps' errors; default: 0.02, of a family."),
@@ -62,7 +65,8 @@ def learn_command(
     from dieseltwin.settings.params import load_params
 
     with deciding_by(load_params(params, profile)):
-        found = learn(recordings, engine, channels=channels, map_error=map_error, siblings=siblings or ())
+        found = learn(recordings, engine, channels=channels, sensors=names(sensors), map_error=map_error,
+                      siblings=siblings or ())  # fmt: skip
     found.save(out)
     beside = ", with the file beside it" if learned_beside(out).is_file() else ""
     say([*found.lines(), f"{out}: --engine takes it{beside}"])

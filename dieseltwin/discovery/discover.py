@@ -151,8 +151,9 @@ def _with_doubts(
 
 
 def as_it_was(
-    recording: Recording, engine: EngineParameters, options: Options | None = None, minutes_max: float | None = None
-) -> tuple[Recording, EngineParameters, tuple[Estimate, ...]]:
+    recording: Recording, engine: EngineParameters, options: Options | None = None, minutes_max: float | None = None,
+    learned: LearnedEngine | None = None,
+) -> tuple[Recording, EngineParameters, tuple[Estimate, ...]]:  # fmt: skip
     """The recording with its clocks and its ambient put right, the engine with its charge temperature, and what was
     put right; without a verdict.
 
@@ -160,14 +161,15 @@ def as_it_was(
     imitate it.
 
     Args:
-        recording, engine, options: as of `discover`.
+        recording, engine, options, learned: as of `discover`.
         minutes_max: of a longer recording the liveliest stretches tell; None: all of it.
 
     Raises:
         InputError: no usable sensor, or no stretch with the engine running.
     """
     options = options or Options()
-    twin = _twin(recording if minutes_max is None else liveliest(recording, minutes_max), engine, options, None)
+    twin = _twin(recording if minutes_max is None else liveliest(recording, minutes_max), engine, options,
+                 learned)  # fmt: skip
     found = search.looked_at(preparation.prepare(twin, options.settings()))
     moved = found.twin.values if isinstance(found.twin, LoggedTwin) else {}
     shown = tuple(item for item in estimates(leading(found)) if item.off and item.circumstance.kind != DRIFT)

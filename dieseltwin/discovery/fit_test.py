@@ -22,6 +22,8 @@ from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.discovery.verdict.over_recordings import health_places
 from dieseltwin.engine import HEALTH, EngineParameters
 from dieseltwin.errors import InputError
+from dieseltwin.learning.files import LearnedEngine
+from dieseltwin.learning.levels import health_covariance
 from dieseltwin.notes import Note
 from dieseltwin.recordings.between_rows import rows_are_slow, rows_may_be_slow
 from dieseltwin.recordings.columns import Columns
@@ -105,13 +107,16 @@ class Examined:
     health: Mapping[str, Tolerant]
 
 
-def examine(recording: Recording, engine: EngineParameters, sensors: Sequence[str]) -> Examined:
+def examine(
+    recording: Recording, engine: EngineParameters, sensors: Sequence[str], learned: LearnedEngine | None = None
+) -> Examined:
     """Test whether the twin fits, and fit health beside tolerances.
 
     Args:
         recording: what was recorded.
         engine: what the twin believes; its health parameters are fitted.
         sensors: columns that count.
+        learned: what is known of the engine from recordings of when it was well; `engine` is then its own.
     """
     parts = [(part, there) for part in _parts(recording) if len(there := _reading(part, sensors)) >= FEWEST_SENSORS]
     if not parts:
@@ -122,7 +127,7 @@ def examine(recording: Recording, engine: EngineParameters, sensors: Sequence[st
     health: list[Mapping[str, Tolerant]] = []
     for part, there in parts:
         try:
-            found, looks, beyond = _looked_at(part, engine, there, bar)
+            found, looks, beyond = _looked_at(part, engine, there, bar, learned)
         except InputError as error:  # terms of the engine that the effects of the catalogue can't stand beside
             return _untested(str(error))
         except np.linalg.LinAlgError:
@@ -130,7 +135,7 @@ def examine(recording: Recording, engine: EngineParameters, sensors: Sequence[st
             return Examined((note,), {})
         suspected += looks
         left += beyond
-        health.append(_health(found))
+        health.append(_health(found, learned))
     notes = []
     if suspected:
         first = max(suspected, key=lambda item: item.gain)
@@ -151,15 +156,19 @@ def _untested(why: str) -> Examined:
     return Examined((Note(f"whether the twin fits isn't tested: {why}", "untested"),), {})
 
 
-def _health(found: Search) -> dict[str, Tolerant]:
-    """Health of the fit of one part, tolerances in its standard deviations; none where a parameter ended at the limit
+def _health(found: Search, learned: LearnedEngine | None) -> dict[str, Tolerant]:
+    """Health of the fit of one part, tolerances in its standard deviations, known no better than when it was learned (a
+    map's level and a health parameter are one product); none where a parameter ended at the limit
     of what the search allows, so far from the engine file's that the fit isn't where the readings would have it."""
     fit = found.null.fit
     around = (fit.parameters * (1.0 + AT_LIMIT), fit.parameters * (1.0 - AT_LIMIT))
     if not all(np.array_equal(each, within_limits(found.twin, each, (), np.zeros(0))[0]) for each in around):
         return {}
-    places = zip(HEALTH, health_places(found.twin), strict=True)
-    return {name: Tolerant(float(fit.parameters[j]), float(fit.std[j])) for name, j in places}
+    least = np.zeros(len(HEALTH))
+    if learned is not None:
+        least = np.sqrt(np.diag(health_covariance(learned))) / learned.belief.health
+    places = zip(HEALTH, health_places(found.twin), least * fit.parameters[: len(HEALTH)], strict=True)
+    return {name: Tolerant(float(fit.parameters[j]), float(max(fit.std[j], at_least))) for name, j, at_least in places}
 
 
 def _together(parts: Sequence[Mapping[str, Tolerant]]) -> dict[str, Tolerant]:
@@ -195,20 +204,21 @@ class Tested:
 
 
 def tested(
-    recording: Recording, engine: EngineParameters, sensors: Sequence[str], minutes_max: float | None = None
-) -> Tested:
+    recording: Recording, engine: EngineParameters, sensors: Sequence[str], learned: LearnedEngine | None = None,
+    minutes_max: float | None = None,
+) -> Tested:  # fmt: skip
     """Test whether the twin fits; where it doesn't, under the circumstances that the recording shows.
 
     Args:
-        recording, engine, sensors: as of `examine`.
+        recording, engine, sensors, learned: as of `examine`.
         minutes_max: of a longer recording the liveliest stretches show circumstances; None: all of it.
     """
-    first = examine(recording, engine, sensors)
+    first = examine(recording, engine, sensors, learned)
     if any(note.code in ("misfit", "residuals") for note in first.notes):
         there = tuple(name for name in sensors if name in recording.columns)
-        right, under, shown = as_it_was(recording, engine, Options(sensors=there), minutes_max)
+        right, under, shown = as_it_was(recording, engine, Options(sensors=there), minutes_max, learned)
         if shown:
-            again = examine(right, under, sensors)
+            again = examine(right, under, sensors, learned)
             return Tested(right, under, shown, again.notes, again.health)
     return Tested(recording, engine, (), first.notes, first.health)
 
@@ -235,27 +245,29 @@ def _reading(part: Recording, sensors: Sequence[str]) -> list[str]:
 
 
 def _looked_at(
-    part: Recording, engine: EngineParameters, sensors: Sequence[str], bar: float
+    part: Recording, engine: EngineParameters, sensors: Sequence[str], bar: float, learned: LearnedEngine | None
 ) -> tuple[Search, Sequence[Suspect], Sequence[Excess]]:
     """The fit of a part, what it looks as if were wrong, and what it leaves.
 
     Where rows are so far apart that a quick pedal moves unseen between them, a misfit that goes when it may have is
     none. A fault stays: calm inputs are believed to be straight from row to row.
     """
-    first = _searched(part, engine, sensors, bar, between_rows=False)
+    first = _searched(part, engine, sensors, bar, learned, between_rows=False)
     misfit = max((suspect.gain for suspect in first[1]), default=0.0)
     quick = rows_may_be_slow(part.time_s) and not rows_are_slow(part.time_s)
     if not (quick and any(first[1:])) or misfit > QUICK_GAIN:
         return first
-    again = _searched(part, engine, sensors, bar, between_rows=True)
+    again = _searched(part, engine, sensors, bar, learned, between_rows=True)
     return first if any(again[1:]) else again
 
 
 def _searched(
-    part: Recording, engine: EngineParameters, sensors: Sequence[str], bar: float, *, between_rows: bool
+    part: Recording, engine: EngineParameters, sensors: Sequence[str], bar: float, learned: LearnedEngine | None,
+    *, between_rows: bool,
 ) -> tuple[Search, Sequence[Suspect], Sequence[Excess]]:
     columns = {**part.columns, **{name: _with_noise(part.columns[name], name) for name in sensors}}
-    twin = EngineTwin(replace(part, columns=Columns(columns)), engine, sensors)
+    belief = None if learned is None else learned.belief
+    twin = EngineTwin(replace(part, columns=Columns(columns)), engine, sensors, belief=belief)
     twin.between_rows = between_rows
     found = prepare(twin, Options().settings())
     faults = suspicions(found.null, recording_faults(twin, found.null))

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import cast
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -13,10 +14,13 @@ import dieseltwin as dt
 from dieseltwin.api.discovery import ask
 from dieseltwin.api.driving import DrivingQuestion
 from dieseltwin.api.learning import LearnedResult, _in_its_unit
+from dieseltwin.discovery.fit_test import examine
 from dieseltwin.discovery.reference.learn import Learned
-from dieseltwin.engine import we2011
+from dieseltwin.engine import HEALTH, MEASURED, we2011
 from dieseltwin.errors import InputError
 from dieseltwin.learning.files import UNSETTLED, load_learned, save_learned, seal_of
+from dieseltwin.learning.levels import health_covariance
+from dieseltwin.recordings.reader import recording
 from tests.api.learned import learned_file
 from tests.api.simulated import drive
 
@@ -30,7 +34,46 @@ def test_an_engine_is_learned_saved_and_taken(tmp_path: Path) -> None:
     assert any(line.startswith("  A_egrmax") and " mm² +-" in line for line in found.lines())
     assert len(found.plot().axes) == 1
     file = found.save(tmp_path / "mine.yaml")
-    assert dt.engine(file) == found.engine
+    assert dt.engine(file) == dt.engine(found) == found.engine
+    with pytest.raises(InputError, match="another ending"):
+        found.save(tmp_path / "mine")
+
+
+def test_what_learn_gave_is_as_good_as_its_file(tmp_path: Path) -> None:
+    file = learned_file(tmp_path)
+    judged, known = drive(120.0, seed=31), load_learned(file)
+    assert known is not None
+    given = LearnedResult(known, cast(Learned, None), ())
+    first, second = (cast(DrivingQuestion, ask(judged, engine)) for engine in (file, given))
+    assert first.known is not None and second.known is known
+    assert second.parameters == first.parameters == known.engine
+
+
+def test_health_of_a_learned_engine_is_no_better_known_than_when_it_was_learned(tmp_path: Path) -> None:
+    file = learned_file(tmp_path)
+    known = load_learned(file)
+    assert known is not None
+    judged = recording(drive(120.0, seed=31))
+    alone, learned = examine(judged, we2011.PARAMETERS, MEASURED), examine(judged, known.engine, MEASURED, known)
+    assert not learned.notes
+    least = np.sqrt(np.diag(health_covariance(known)))
+    for name, at_least in zip(HEALTH, least, strict=True):
+        told = learned.health[name]
+        assert told.std >= 0.9 * at_least and told.std > alone.health[name].std
+        assert abs(told.value - getattr(we2011.PARAMETERS, name)) < 4.0 * told.std
+
+
+@pytest.mark.thorough
+def test_an_engine_without_a_flow_meter_is_learned_by_the_sensors_it_has() -> None:
+    healthy = drive(150.0, we2011.PARAMETERS.replace(eta_cmax=0.72))
+    used = [name for name in MEASURED if name in healthy and name != "w_egr_kg_s"]
+    with pytest.raises(InputError, match=r"column w_egr_kg_s: got none.*--sensors"):
+        dt.learn([healthy.drop(columns="w_egr_kg_s")])
+    found = dt.learn([healthy.drop(columns="w_egr_kg_s")], sensors=used)
+    assert len(found.table()) > 0
+    same = dt.learn([healthy], sensors=used)  # a sensor that isn't named isn't used
+    first, second = (cast(LearnedResult, item).known.belief.mean for item in (found, same))
+    np.testing.assert_allclose(second, first)
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,8 @@ from dieseltwin.discovery.verdict.curves import Discovery
 from dieseltwin.discovery.verdict.document import Discrepancy, load_discrepancy
 from dieseltwin.engine import EngineParameters, Inputs, load_engine, simulate, we2011
 from dieseltwin.engine.effects import EFFECTS, SITES
-from dieseltwin.engine.terms import Term
+from dieseltwin.engine.map_corrections import basis
+from dieseltwin.engine.terms import Term, with_corrections
 from dieseltwin.recordings.reader import Recording, recording
 from dieseltwin.report import discovery_page
 
@@ -335,6 +336,9 @@ def test_notes_on_what_is_doubtful(table: pd.DataFrame) -> None:
     wrong = we2011.PARAMETERS.replace(V_d=1.2 * we2011.PARAMETERS.V_d)
     notes = checks.check_recording(recording(table), wrong)[1]
     assert any("the engine breathes 8" in note for note in notes)
+    # of a learned engine, whose reference breathed so as well
+    learned = wrong.replace(terms=with_corrections((), np.zeros(len(basis().names))))
+    assert not any("breathes" in note for note in checks.check_recording(recording(table), learned)[1])
 
 
 @pytest.mark.parametrize("columns", [6, 5])

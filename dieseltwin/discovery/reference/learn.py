@@ -27,7 +27,7 @@ from dieseltwin.learning.domain import domain_of
 from dieseltwin.learning.files import LearnedEngine
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.recordings.shared_rows import distinct
-from dieseltwin.settings.defaults import default_learn
+from dieseltwin.settings.defaults import default_learn, default_search
 from dieseltwin.settings.discovery import LearnConfig
 
 _NEAR = 0.02  # of -2 log posterior that a step promises, when the noise is estimated from what is left
@@ -168,7 +168,9 @@ def learn(
         if converged:
             break
     evidence = joint.evidence()
-    suspicions = joint.suspicions(settings.suspicious_gain)
+    # long references show what is smaller than anybody wants to know of: no word of that, as `discover` has none
+    least = default_search().driving.alarm_size
+    suspicions = tuple(item for item in joint.suspicions(settings.suspicious_gain) if item.tolerances >= least)
     return Learned(combined(prior, evidence), evidence, converged, further, suspicions, joint.clocks(), joint.strange())
 
 
@@ -314,7 +316,8 @@ class _Joint:
             alone = None if number is None else self.parts[number].sha256
             gain -= 0.0 if alone is None else choice
             if gain > max(least_gain, found[name].gain if name in found else 0.0):
-                found[name] = Suspicion(name, hypothesis.unit, size, information**-0.5, gain, alone)
+                found[name] = Suspicion(name, hypothesis.unit, size, information**-0.5, gain, alone,
+                                        abs(size) / hypothesis.tolerance)  # fmt: skip
         return tuple(sorted(found.values(), key=lambda item: -item.gain))
 
     def by_an_effect(self) -> tuple[float, float]:

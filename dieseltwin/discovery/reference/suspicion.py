@@ -14,6 +14,7 @@ class Suspicion:
         magnitude, std: linear estimate and its standard deviation [unit].
         gain: decrease of -2 log posterior that it gives beyond all that maps, sensors and health can take up.
         alone: hash of the recording that shows it, where the others don't.
+        tolerances: how many tolerances of interest it has [-].
     """
 
     name: str
@@ -22,3 +23,4 @@ class Suspicion:
     std: float
     gain: float
     alone: str | None = None
+    tolerances: float = 1.0

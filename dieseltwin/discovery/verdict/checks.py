@@ -14,6 +14,7 @@ import numpy as np
 from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.engine import HEALTH, MEASURED, EngineParameters, constants
 from dieseltwin.engine.simulate import numpy_model
+from dieseltwin.engine.terms import corrections_in
 from dieseltwin.errors import InputError
 from dieseltwin.notes import Note
 from dieseltwin.recordings.channel_checks import channel_notes
@@ -310,7 +311,9 @@ def check_recording(
     if seconds < COMFORTABLE_S:
         notes.append(Note(f"{seconds:.0f} s of driving; with 600 s every limit would be "
                           f"{math.sqrt(600.0 / seconds):.1f} times lower", "short"))  # fmt: skip
-    if factor is not None and "w_c_kg_s" in used and not 1.0 / NOTED_BREATHING <= factor <= NOTED_BREATHING:
+    learned = corrections_in(engine.terms) is not None  # by so much its reference breathed differently as well
+    noted = factor is not None and not 1.0 / NOTED_BREATHING <= factor <= NOTED_BREATHING
+    if factor is not None and noted and "w_c_kg_s" in used and not learned:
         notes.append(Note(f"the engine breathes {100 * factor:.0f} % of what the engine file says; check V_d and "
                           "the flow sensors before you trust a name", "wrong_engine"))  # fmt: skip
     return used, [*notes, *channel_notes(recording, used)]
