@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -115,19 +115,18 @@ def sensor_fault(
     """
     tried = [fault for fault in faults if fault.kind != "lag"]
     tried += [replace(fault, size=size) for fault in faults if fault.kind == "lag" for size in (fault.size, *_LAGS_S)]
-    fits = list(_fitted(twin, at, [(fault,) for fault in tried], at.fit))
-    if not fits:
+    fits = _Fits(twin, at)
+    best = fits.add([(fault,) for fault in tried], at.fit)
+    if best is None:
         return None
-    fits.sort(key=lambda item: item[0])
     for reach in () if since_s is None else ONSET_REACHES_S:
-        _, (fault,), best = fits[0]
+        (fault,) = fits.faults
         fault = replace(fault, size=float(best.fit.parameters[len(twin.parameters)]))
         others = (t for t in times_about(twin, cast(float, fault.since_s), reach) if t != fault.since_s)
-        fits += _fitted(twin, at, [(replace(fault, since_s=t),) for t in others], best.fit)
-        fits.sort(key=lambda item: item[0])
-    objective, (fault,), best = fits[0]
+        best = cast(Linearisation, fits.add([(replace(fault, since_s=t),) for t in others], best.fit))
+    objective, (fault,) = best.fit.objective, fits.faults
     rivals: dict[tuple[str, str], Rival] = {}
-    for other, (weaker,), _ in fits[1:]:
+    for other, (weaker,) in sorted(fits.tried, key=lambda item: item[0]):
         if other - objective < _RIVALS and (weaker.channel, weaker.kind) != (fault.channel, fault.kind):
             rival = Rival(f"sensor:{weaker.channel}", other - objective)
             rivals.setdefault((weaker.kind, weaker.channel), rival)
@@ -137,29 +136,49 @@ def sensor_fault(
     if found.score < _RESOLVED:
         return None
     both = [(fault, replace(fault, kind=kind, size=0.0)) for kind in ("gain", "offset") if kind != fault.kind]
-    joined = min(_fitted(twin, at, both, best.fit), key=lambda item: item[0], default=None)
+    pairs = _Fits(twin, at)
+    joined = pairs.add(both, best.fit)
     # charged as the first one, chosen among two
     needed = float(np.log(readings) + 2.0 * np.log(2.0)) + _RESOLVED
-    if joined is None or objective - joined[0] < needed:
+    if joined is None or objective - joined.fit.objective < needed:
         return found
-    return FaultFit(joined[1], joined[2], at.fit.objective - joined[0], charge + needed - _RESOLVED, found.rivals)
+    gain = at.fit.objective - joined.fit.objective
+    return FaultFit(pairs.faults, joined, gain, charge + needed - _RESOLVED, found.rivals)
 
 
-def _fitted(
-    twin: Twin, at: Linearisation, sets: Sequence[tuple[ReadingFault, ...]], start: Fit
-) -> Iterator[tuple[float, tuple[ReadingFault, ...], Linearisation]]:
-    """Objective, faults and fit of the sets that can be fitted, from a fit without or with some like them."""
-    P = len(twin.parameters)
-    for faults in sets:
-        wrong = cast(Twin, ReadingTwin(twin, faults))
-        begun = Fit(at.fit.candidate, np.append(start.parameters[:P], [fault.size for fault in faults]),
-                    at.fit.magnitudes, start.local, np.inf, False)  # fmt: skip
-        try:
-            fitted = fit_fully(wrong, at.whitening, begun, at.nuisance_response, _ROUNDS)
-        except np.linalg.LinAlgError:
-            continue
-        if np.isfinite(fitted.fit.objective) and (faults[0].kind != "lag" or fitted.fit.parameters[P] > 0.0):
-            yield fitted.fit.objective, faults, fitted
+class _Fits:
+    """Fits of a twin with faults of sensors. Of all but the best one the objective is kept: a linearisation holds a
+    hundred megabytes of an engine that was learned.
+
+    Attributes:
+        tried: objective and faults of each that could be fitted.
+        faults: of the best one.
+    """
+
+    def __init__(self, twin: Twin, at: Linearisation) -> None:
+        self.twin, self.at = twin, at
+        self.tried: list[tuple[float, tuple[ReadingFault, ...]]] = []
+        self.faults: tuple[ReadingFault, ...] = ()
+        self._best: Linearisation | None = None
+
+    def add(self, sets: Iterable[tuple[ReadingFault, ...]], start: Fit) -> Linearisation | None:
+        """The best of all so far, after further ones from a fit without or with some like them; None for none."""
+        at, P = self.at, len(self.twin.parameters)
+        for faults in sets:
+            wrong = cast(Twin, ReadingTwin(self.twin, faults))
+            begun = Fit(at.fit.candidate, np.append(start.parameters[:P], [fault.size for fault in faults]),
+                        at.fit.magnitudes, start.local, np.inf, False)  # fmt: skip
+            try:
+                fitted = fit_fully(wrong, at.whitening, begun, at.nuisance_response, _ROUNDS)
+            except np.linalg.LinAlgError:
+                continue
+            objective = fitted.fit.objective
+            if not np.isfinite(objective) or (faults[0].kind == "lag" and fitted.fit.parameters[P] <= 0.0):
+                continue
+            self.tried.append((objective, faults))
+            if self._best is None or objective < self._best.fit.objective:
+                self.faults, self._best = faults, fitted
+        return self._best
 
 
 def laws_in_turn(

@@ -10,7 +10,7 @@ constant that all hypotheses share.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from hashlib import sha256
 from itertools import pairwise
@@ -32,15 +32,11 @@ class ModelScatter:
         readings: (n, C) variance of each reading, uncorrelated; None for nothing.
         windows: of each window of r rows the covariance (r C, r C) of its readings, row by row; none for nothing.
         bent: (window, the same of it) of those in which errors of maps don't act linearly, beside `windows`.
-        factors: what was last worked out of it, by the noise: a search asks some thirty times for the same.
     """
 
     readings: Array | None = None
     windows: tuple[Array, ...] = ()
     bent: tuple[tuple[int, Array], ...] = ()
-    factors: dict[bytes, tuple[tuple[slice, Array], ...]] = field(
-        init=False, default_factory=dict, compare=False, repr=False
-    )
 
     def by_window(self) -> dict[int, Array]:
         """Window -> covariance of its readings (r C, r C), of the windows that have one."""
@@ -48,6 +44,11 @@ class ModelScatter:
         for window, covariance in self.bent:
             found[window] = found[window] + covariance if window in found else covariance
         return found
+
+
+# What was last worked out of a scatter, by the noise beside it: one search asks some thirty times in turn for the same.
+# One, because ten minutes at 10 Hz take 170 MiB.
+_latest: list[tuple[ModelScatter, bytes, tuple[tuple[slice, Array], ...]]] = []
 
 
 @dataclass(frozen=True)
@@ -83,14 +84,13 @@ class Whitening:
         if not tied:
             return apart
         key = sha256(previous.tobytes() + scale.tobytes()).digest()
-        if key not in scatter.factors:
+        if not (_latest and _latest[0][0] is scatter and _latest[0][1] == key):
             lower = []
             for block, spread in apart.whitened(starts[list(tied)], list(tied.values())):
                 factor = cholesky(np.eye(len(spread)) + spread, lower=True)
                 lower.append((block, solve_triangular(factor, np.eye(len(spread)), lower=True)))
-            scatter.factors.clear()
-            scatter.factors[key] = tuple(lower)
-        return cls(present, previous, scale, scatter.factors[key])
+            _latest[:] = [(scatter, key, tuple(lower))]
+        return cls(present, previous, scale, _latest[0][2])
 
     def whitened(self, starts: np.ndarray, windows: Sequence[Array]) -> Iterator[tuple[slice, Array]]:
         """Which readings each window holds, row by row, and its covariance (r C, r C) behind the noise's whitening.
