@@ -10,6 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from itertools import pairwise
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -32,8 +34,8 @@ from dieseltwin.petrol.components import (
     storage_flow,
 )
 from dieseltwin.petrol.effects import HYPOTHESES, later, metered, undo_all
-from dieseltwin.petrol.maps import STRAIGHT, beyond, spline_basis, tensor_value
-from dieseltwin.petrol.model import opening
+from dieseltwin.petrol.maps import STRAIGHT, spline_basis, tensor_value
+from dieseltwin.petrol.model import opening, outside
 from dieseltwin.petrol.parameters import PetrolParameters
 from dieseltwin.petrol.recording import PetrolRecording, Signals, gaps
 from dieseltwin.petrol.terms import active_sizes
@@ -161,12 +163,13 @@ def simulate_petrol(engine: PetrolParameters, recording: PetrolRecording) -> pd.
 
 def beyond_maps(engine: PetrolParameters, frame: pd.DataFrame) -> list[Note]:
     """How long a simulation (`simulate_petrol`) is too far beyond what was learned; none where it isn't."""
-    cylinder, throttle = engine.maps
-    p_im, angle = frame["p_im_true_pa"].to_numpy(), frame["alpha_th_pct"].to_numpy()
-    psi = nozzle_factor(p_im / frame["p_ic_pa"].to_numpy())
-    arguments = ((cylinder.knots_x, frame["omega_e_rad_s"].to_numpy()), (cylinder.knots_y, np.log(p_im)),
-                 (throttle.knots_x, opening(angle)), (throttle.knots_y, psi))  # fmt: skip
-    far = np.any([np.abs(beyond(values, np.array(knots))) > STRAIGHT for knots, values in arguments], axis=0)
+    p_im = frame["p_im_true_pa"].to_numpy()
+    rows: Any = SimpleNamespace(
+        omega_e=frame["omega_e_rad_s"].to_numpy(), p_im=p_im, alpha=frame["alpha_th_pct"].to_numpy(),
+        psi=nozzle_factor(p_im / frame["p_ic_pa"].to_numpy()),
+    )  # fmt: skip
+    both = outside(rows, *engine.maps).values()
+    far = np.any([np.abs(steps) > STRAIGHT for arguments in both for steps in arguments], axis=0)
     steps = np.diff(frame["time_s"].to_numpy(), append=frame["time_s"].iloc[-1])
     seconds = float(np.sum(np.minimum(steps, LONGEST_ROW_S)[far]))
     if seconds < LEAST_BEYOND_S:
