@@ -7,8 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
-import numpy as np
-
 from dieseltwin.discovery.likelihood.circumstances import Estimate, estimates
 from dieseltwin.discovery.likelihood.score import minimum_detectable
 from dieseltwin.discovery.options import Options
@@ -28,7 +26,7 @@ from dieseltwin.discovery.verdict.unseen import HealthBias
 from dieseltwin.engine import EngineParameters
 from dieseltwin.learning.domain import known_along
 from dieseltwin.learning.files import LearnedEngine
-from dieseltwin.learning.levels import health_covariance
+from dieseltwin.learning.levels import relative_health_std
 from dieseltwin.notes import Note, of_reading
 from dieseltwin.recordings.circumstances import DRIFT, TIME_SHIFT, put_right
 from dieseltwin.recordings.dates import ORDER, Dated
@@ -109,7 +107,7 @@ def discover(
     clock = time.perf_counter() - prepared.found.seconds["prepare"]
     found = _found(prepared, options, time_s)
     others = time.perf_counter() - clock - sum(found.seconds.values())
-    then = None if learned is None else np.sqrt(np.diag(health_covariance(learned))) / learned.belief.health
+    then = None if learned is None else relative_health_std(learned)
     result = assemble(days, found, options, _reference(found, learned), time_s, then, shown)
     runtime = {**found.seconds, "other_searches": max(others, 0.0), "total": time.perf_counter() - clock}
     return replace(_with_doubts(result, found, engine, [day.recording for day in days]), runtime=runtime)

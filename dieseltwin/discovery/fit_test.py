@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 from scipy.special import chdtri  # of scipy.stats, whose import takes half a second, only this is wanted
@@ -20,10 +21,11 @@ from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.diesel import EngineTwin
 from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.discovery.verdict.over_recordings import health_places
+from dieseltwin.discovery.verdict.since_reference import no_better_than_then
 from dieseltwin.engine import HEALTH, EngineParameters
 from dieseltwin.errors import InputError
 from dieseltwin.learning.files import LearnedEngine
-from dieseltwin.learning.levels import health_covariance
+from dieseltwin.learning.levels import relative_health_std
 from dieseltwin.notes import Note
 from dieseltwin.recordings.between_rows import rows_are_slow, rows_may_be_slow
 from dieseltwin.recordings.columns import Columns
@@ -164,11 +166,10 @@ def _health(found: Search, learned: LearnedEngine | None) -> dict[str, Tolerant]
     around = (fit.parameters * (1.0 + AT_LIMIT), fit.parameters * (1.0 - AT_LIMIT))
     if not all(np.array_equal(each, within_limits(found.twin, each, (), np.zeros(0))[0]) for each in around):
         return {}
-    least = np.zeros(len(HEALTH))
-    if learned is not None:
-        least = np.sqrt(np.diag(health_covariance(learned))) / learned.belief.health
-    places = zip(HEALTH, health_places(found.twin), least * fit.parameters[: len(HEALTH)], strict=True)
-    return {name: Tolerant(float(fit.parameters[j]), float(max(fit.std[j], at_least))) for name, j, at_least in places}
+    then = None if learned is None else relative_health_std(learned)
+    std = np.sqrt(np.diag(no_better_than_then(cast(Array, fit.covariance), fit.parameters, then)))
+    places = zip(HEALTH, health_places(found.twin), strict=True)
+    return {name: Tolerant(float(fit.parameters[j]), float(std[j])) for name, j in places}
 
 
 def _together(parts: Sequence[Mapping[str, Tolerant]]) -> dict[str, Tolerant]:

@@ -28,6 +28,11 @@ def health_covariance(learned: LearnedEngine) -> Array:
     return without_shape(learned.belief, learned.believed, functions)
 
 
+def relative_health_std(learned: LearnedEngine) -> Array:
+    """(4,) how well the health parameters were known when they were learned, over their values [-]."""
+    return np.asarray(np.sqrt(np.diag(health_covariance(learned))) / learned.belief.health)
+
+
 def without_shape(belief: Belief, believed: Belief, functions: dict[str, Array]) -> Array:
     """Covariance (4, 4) of the health parameters where the shape of a map says nothing of its mean along a driving.
 
