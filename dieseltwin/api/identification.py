@@ -118,16 +118,18 @@ class Identified(Result):
 
     def table(self) -> pd.DataFrame:
         """One row a parameter: mean, std, low and high (90 % interval), bound, unit, segments behind it; mean and std
-        beside tolerances of maps and sensors, where the fit was tested."""
+        beside tolerances of maps and sensors, and over the value when the engine was learned, where there are any."""
         document = self.document
         rows = {}
         for name, entry in document["parameters"].items():
             low, high = entry["interval_90"] or (None, None)
             used = sum(bool(segment["parameters"][name]["identifiable"]) for segment in document["segments"])
             beside = document["with_tolerances"].get(name, {})
+            since = beside.get("since_reference", {})
             rows[name] = {"mean": entry["mean"], "std": entry["std"], "low": low, "high": high,
                           "bound": entry["bound"], "unit": entry["unit"], "segments": used,
-                          "tolerant_mean": beside.get("mean"), "tolerant_std": beside.get("std")}
+                          "tolerant_mean": beside.get("mean"), "tolerant_std": beside.get("std"),
+                          "since_reference": since.get("value"), "since_reference_std": since.get("std")}
         return pd.DataFrame.from_dict(rows, orient="index").rename_axis("parameter")
 
     def plot(self, name: str | None = None) -> Figure:

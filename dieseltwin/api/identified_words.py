@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from dieseltwin.discovery.fit_test import Tolerant
+from dieseltwin.discovery.verdict.health_value import SinceReference
 from dieseltwin.engine import HEALTH_UNITS
 from dieseltwin.identification.result import intervals_from_log_std
 from dieseltwin.notes import Note, counted
@@ -38,7 +39,7 @@ def misfits(document: Mapping[str, Any]) -> list[Note]:
 def with_tolerances(document: Mapping[str, Any], tolerant: Mapping[str, Tolerant]) -> dict[str, Any]:
     """An identification's document with `with_tolerances`: mean, std, 90 % interval and unit of the health parameters
     that the recording can tell, by the method and by this fit. The intervals are symmetric in the logarithm, as those
-    of the methods are."""
+    of the methods are. Of an engine that was learned `since_reference` stands beside them, as in discrepancy.json."""
     entries = {}
     for name, told in tolerant.items():
         # a value within its deviation of zero says nothing, and has no interval in the logarithm
@@ -46,6 +47,8 @@ def with_tolerances(document: Mapping[str, Any], tolerant: Mapping[str, Tolerant
             _, interval = intervals_from_log_std(np.array(told.value), np.array(told.std / told.value))
             entries[name] = {"mean": told.value, "std": told.std, "unit": HEALTH_UNITS[name],
                              "interval_90": interval.tolist()}  # fmt: skip
+            if told.since_reference is not None:
+                entries[name]["since_reference"] = told.since_reference.model_dump()
     return {**document, "with_tolerances": entries}
 
 
@@ -59,8 +62,14 @@ def found_words(document: Mapping[str, Any]) -> list[str]:
     found = _listed({name: entry for name, entry in pooled.items() if name not in unknown})
     words = [found]
     if beside:
+        since = [f"{name} {then.text}" for name, entry in beside.items() if (then := _since(entry)) is not None]
         words = [f"beside tolerances of maps and sensors {_listed(beside)}", f"with exact ones {found}"]
+        words[1:1] = [f"since the reference {', '.join(since)}"] if since else []
     return words + ([f"not identifiable here: {', '.join(unknown)}"] if unknown else [])
+
+
+def _since(entry: Mapping[str, Any]) -> SinceReference | None:
+    return SinceReference(**entry["since_reference"]) if "since_reference" in entry else None
 
 
 def _listed(entries: Mapping[str, Mapping[str, Any]]) -> str:
@@ -89,5 +98,7 @@ def text_table(document: Mapping[str, Any]) -> list[str]:
         lines.append("the same beside tolerances of maps and sensors (the intervals above are noise alone)")
     for name, entry in beside.items():
         interval = "{:.5g} to {:.5g}".format(*entry["interval_90"])
-        lines.append(f"{name:<10} {entry['mean']:>12.6g} {entry['std']:>10.3g} {interval:>27} {'':>12}{entry['unit']}")
+        line = f"{name:<10} {entry['mean']:>12.6g} {entry['std']:>10.3g} {interval:>27} {'':>12}{entry['unit']}"
+        since = _since(entry)
+        lines.append(line if since is None else f"{line:<83}  {since.text} since the reference")
     return lines

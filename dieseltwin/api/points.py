@@ -223,8 +223,8 @@ class PointsDiscovered(Discovered):
             for name in fit.candidate.names
         ]  # fmt: skip
         said = self.document
-        since = [f"{name} {100.0 * (now.since_reference.value - 1.0):+.1f} ± {100.0 * now.since_reference.std:.1f} %"
-                 for name, now in said.health.items() if now.since_reference is not None]
+        since = [f"{name} {now.since_reference.text}" for name, now in said.health.items()
+                 if now.since_reference is not None]
         health = [f"since the reference: {', '.join(since)}"] if since else []
         return [*tried, "", self.sentence, *health, *(f"note: {doubt.text}" for doubt in said.warnings)]
 

@@ -21,18 +21,17 @@ from dieseltwin.discovery.verdict.document import (
     Fit,
     FoundEffect,
     FoundRegion,
-    HealthValue,
     Location,
     Provenance,
     RecordingInfo,
     Reference,
-    SinceReference,
     fit_doubts,
     with_warnings,
 )
 from dieseltwin.discovery.verdict.explain import plain
 from dieseltwin.discovery.verdict.explained import disagreement
 from dieseltwin.discovery.verdict.findings import finite, none_of_these, ranked_location, valid_for
+from dieseltwin.discovery.verdict.health_value import HealthValue, SinceReference
 from dieseltwin.discovery.verdict.reasons import candidate_rows
 from dieseltwin.discovery.verdict.unseen import health_bias
 from dieseltwin.engine.effects import EFFECTS

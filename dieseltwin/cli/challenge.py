@@ -3,25 +3,19 @@
 from __future__ import annotations
 
 import os
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from dieseltwin.atomic import check_writable
-from dieseltwin.cli.options import check_ending, help_without_command, names
+from dieseltwin.cli.options import check_ending, counted_progress, help_without_command, names
 
 challenge_app = typer.Typer(help="Concealed benchmark: recordings with sealed answers, run the tool, open and score.")
 challenge_app.callback(invoke_without_command=True)(help_without_command)
 
 Jobs = Annotated[int | None, typer.Option("--jobs", metavar="J", min=1, help="Processes; one per core by default.")]
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of `challenge make`.")]
-
-
-def _progress(done: int, total: int, note: str = "") -> None:
-    end = "\n" if not sys.stderr.isatty() or done == total else "\r"
-    print(f"{done}/{total} {note}".rstrip(), end=end, file=sys.stderr, flush=True)
 
 
 def _cores() -> int:
@@ -50,7 +44,7 @@ def make(
 
     manifest = make_challenge(
         out, n, seed, tier=tier, sensors=sensors, healthy_only=healthy_only, duration_s=duration,  # type: ignore[arg-type]
-        reference_min=reference, jobs=jobs or _cores(), progress=_progress,
+        reference_min=reference, jobs=jobs or _cores(), progress=counted_progress,
     )  # fmt: skip
     typer.echo(f"{out}: {manifest['n']} recordings; answers in {out / 'sealed'}, their salted hashes in manifest.json")
 
@@ -66,7 +60,7 @@ def run(
     from dieseltwin.challenge.run import RESULTS, run_challenge
 
     counts = run_challenge(
-        folder, only=names(only) or (), limit=limit, jobs=jobs or _cores(), progress=_progress
+        folder, only=names(only) or (), limit=limit, jobs=jobs or _cores(), progress=counted_progress
     )
     typer.echo(f"{folder / RESULTS}: " + ", ".join(f"{count} {name}" for name, count in counts.items()))
     if counts["failed"]:  # each with its failed.json; the next run tries them again
@@ -83,7 +77,7 @@ def score(
     from dieseltwin.challenge.score import score_challenge, write_score
     from dieseltwin.challenge.table import lines
 
-    found = score_challenge(folder, jobs=jobs or _cores(), unrun=unrun, progress=_progress)
+    found = score_challenge(folder, jobs=jobs or _cores(), unrun=unrun, progress=counted_progress)
     out = write_score(found, folder)
     for line in lines(found.rows):
         typer.echo(f"{line.metric}: {line.value} (pass {line.pass_at}, aim {line.aim})")
@@ -117,5 +111,5 @@ def baselines(
     """Run the baselines (health only, Kalman, neural) on a fixed part of the cases, for `score` to set beside."""
     from dieseltwin.challenge.baselines import run_baselines
 
-    done = run_baselines(folder, only=names(only) or (), limit=limit, jobs=jobs or _cores(), progress=_progress)
+    done = run_baselines(folder, only=names(only) or (), limit=limit, jobs=jobs or _cores(), progress=counted_progress)
     typer.echo(f"{folder / 'baselines'}: {done} cases")

@@ -63,6 +63,12 @@ def progress(text: str) -> None:
         print(text, file=sys.stderr)
 
 
+def counted_progress(done: int, total: int, note: str = "") -> None:
+    """One of many is through: a line that is written over on a terminal, one after the other in a log file."""
+    end = "\n" if not sys.stderr.isatty() or done == total else "\r"
+    print(f"{done}/{total} {note}".rstrip(), end=end, file=sys.stderr, flush=True)
+
+
 def say(lines: Iterable[str]) -> None:
     """Print lines as they come."""
     for line in lines:

@@ -13,6 +13,7 @@ from dieseltwin.cli.options import (
     ParamsFile,
     Profile,
     Sensors,
+    counted_progress,
     help_without_command,
     names,
     progress,
@@ -56,7 +57,7 @@ def add_command(
     settings = _settings(params, profile, alarms_per_year)
     found = watch(
         recordings, engine, history, channels=channels, sensors=names(sensors), settings=settings,
-        progress=lambda done, total, name: progress(f"{done} of {total}: {name}"),
+        progress=counted_progress if len(recordings) > 1 else None,
     )  # fmt: skip
     if found.refused and len(recordings) == 1:
         raise Refused(found.refused[0][1])

@@ -14,14 +14,17 @@ from scipy.special import chdtri  # of scipy.stats, whose import takes half a se
 from dieseltwin.discovery.discover import as_it_was
 from dieseltwin.discovery.likelihood.circumstances import Estimate
 from dieseltwin.discovery.likelihood.fit import within_limits
+from dieseltwin.discovery.likelihood.score import as_fits
 from dieseltwin.discovery.options import Options
 from dieseltwin.discovery.recording_faults import Suspicion, recording_faults, suspicions
 from dieseltwin.discovery.search.preparation import prepare
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.diesel import EngineTwin
 from dieseltwin.discovery.twins.interface import Array
+from dieseltwin.discovery.verdict.explained import disagreement
+from dieseltwin.discovery.verdict.health_value import SinceReference
 from dieseltwin.discovery.verdict.over_recordings import health_places
-from dieseltwin.discovery.verdict.since_reference import no_better_than_then
+from dieseltwin.discovery.verdict.since_reference import no_better_than_then, since_reference
 from dieseltwin.engine import HEALTH, EngineParameters
 from dieseltwin.errors import InputError
 from dieseltwin.learning.files import LearnedEngine
@@ -89,10 +92,15 @@ class Excess:
 
 @dataclass(frozen=True)
 class Tolerant:
-    """A health parameter fitted beside tolerances of maps and sensors, and its standard deviation [its unit]."""
+    """A health parameter fitted beside tolerances of maps and sensors, and its standard deviation [its unit].
+
+    Attributes:
+        since_reference: over what it was when the engine was learned; None without that.
+    """
 
     value: float
     std: float
+    since_reference: SinceReference | None = None
 
 
 @dataclass(frozen=True)
@@ -159,17 +167,27 @@ def _untested(why: str) -> Examined:
 
 
 def _health(found: Search, learned: LearnedEngine | None) -> dict[str, Tolerant]:
-    """Health of the fit of one part, tolerances in its standard deviations, known no better than when it was learned (a
-    map's level and a health parameter are one product); none where a parameter ended at the limit
-    of what the search allows, so far from the engine file's that the fit isn't where the readings would have it."""
+    """Health of the fit of one part; none where a parameter ended at the limit of what the search allows, so far from
+    the engine file's that the fit isn't where the readings would have it.
+
+    Its standard deviations contain tolerances, and what effects would change that may go unseen; none is known better
+    than when it was learned, as a map's level and a health parameter are one product.
+    """
     fit = found.null.fit
     around = (fit.parameters * (1.0 + AT_LIMIT), fit.parameters * (1.0 - AT_LIMIT))
     if not all(np.array_equal(each, within_limits(found.twin, each, (), np.zeros(0))[0]) for each in around):
         return {}
+    found.singles = as_fits(found.null, found.scored)
+    apart = disagreement(found, found.null)
     then = None if learned is None else relative_health_std(learned)
-    std = np.sqrt(np.diag(no_better_than_then(cast(Array, fit.covariance), fit.parameters, then)))
+    covariance = no_better_than_then(cast(Array, fit.covariance) + np.diag(apart**2), fit.parameters, then)
+    std, since = np.sqrt(np.diag(covariance)), since_reference(found.null, found.twin, apart)
     places = zip(HEALTH, health_places(found.twin), strict=True)
-    return {name: Tolerant(float(fit.parameters[j]), float(std[j])) for name, j in places}
+    return {
+        name: Tolerant(float(fit.parameters[j]), float(std[j]),
+                       None if since is None else SinceReference(value=float(since[0][j]), std=float(since[1][j])))
+        for name, j in places
+    }
 
 
 def _together(parts: Sequence[Mapping[str, Tolerant]]) -> dict[str, Tolerant]:
@@ -179,10 +197,16 @@ def _together(parts: Sequence[Mapping[str, Tolerant]]) -> dict[str, Tolerant]:
         return {}
     together = {}
     for name in HEALTH:
-        std = np.array([part[name].std for part in parts])
-        value, wide = np.average([[part[name].value for part in parts], std], axis=1, weights=1.0 / std**2)
-        together[name] = Tolerant(float(value), float(wide))
+        now = _mean([part[name] for part in parts])
+        since = [told for part in parts if (told := part[name].since_reference) is not None]
+        then = dict(zip(("value", "std"), _mean(since), strict=True)) if since else None
+        together[name] = Tolerant(*now, None if then is None else SinceReference(**then))
     return together
+
+
+def _mean(parts: Sequence[Tolerant | SinceReference]) -> tuple[float, float]:
+    std = np.array([part.std for part in parts])
+    return tuple(np.average([[part.value for part in parts], std], axis=1, weights=1.0 / std**2).tolist())
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,6 @@ from dieseltwin.discovery.verdict.curves import Candidate
 from dieseltwin.discovery.verdict.document import (
     Discrepancy,
     FoundEffect,
-    HealthValue,
     Location,
     Provenance,
     RecordingInfo,
@@ -37,6 +36,7 @@ from dieseltwin.discovery.verdict.document import (
 )
 from dieseltwin.discovery.verdict.explained import explained_at
 from dieseltwin.discovery.verdict.findings import effects, finite, ranked_location, site_probabilities
+from dieseltwin.discovery.verdict.health_value import HealthValue
 from dieseltwin.discovery.verdict.reasons import candidate_rows
 from dieseltwin.notes import Note
 from dieseltwin.petrol.blocks import BLOCK_S

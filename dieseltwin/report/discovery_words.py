@@ -10,8 +10,8 @@ from dieseltwin.discovery.verdict.document import (
     Discrepancy,
     FoundEffect,
     FoundRegion,
-    HealthValue,
 )
+from dieseltwin.discovery.verdict.health_value import HealthValue
 from dieseltwin.discovery.verdict.unseen import HealthBias, most_first
 from dieseltwin.discovery.verdict.when import clock, when_words
 from dieseltwin.engine.effects import EFFECTS

@@ -8,7 +8,8 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from markupsafe import Markup
 
 from dieseltwin.discovery.verdict.curves import Candidate
-from dieseltwin.discovery.verdict.document import Discrepancy, FoundEffect, HealthValue
+from dieseltwin.discovery.verdict.document import Discrepancy, FoundEffect
+from dieseltwin.discovery.verdict.health_value import HealthValue
 from dieseltwin.discovery.verdict.when import when_words
 from dieseltwin.report import quantities
 from dieseltwin.report.discovery_words import bias_words, display_unit, magnitude_words, site_words
@@ -129,9 +130,7 @@ def levels(document: Discrepancy, head: str, units: Mapping[str, str] | None = N
                 off = entry.before / entry.value - 1.0 if entry.value else math.nan
                 row += (quantities.percent(off, signed=True),)
         if since:
-            change = entry.since_reference
-            row += (EMPTY if change is None else f"{100.0 * (change.value - 1.0):+.1f} ± {100.0 * change.std:.1f} %"
-                    .replace("-", "−"),)
+            row += (EMPTY if entry.since_reference is None else entry.since_reference.text.replace("-", "−"),)
         rows.append(row)
     return Table(heads, rows)
 

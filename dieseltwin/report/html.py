@@ -122,13 +122,17 @@ def _beside_tolerances(results: Results) -> list[Table]:
     if not told:
         return []
     known = results.truth is not None
+    learned = any(estimate.since_reference is not None for estimate in told.values())
     rows: list[list[str | Markup]] = []
     for name, estimate in told.items():
         line = _told(name, estimate.mean, estimate.std, *estimate.interval_90)
+        if learned:
+            since = estimate.since_reference
+            line.append(EMPTY if since is None else since.text.replace("-", "−"))
         if known:
             line.append(quantities.percent(relative_error(estimate.mean, results.true_value(name)), signed=True))
         rows.append(line)
-    heads = ["parameter", "estimate ± std", "90 % interval", *["error"] * known]
+    heads = ["parameter", "estimate ± std", "90 % interval", *["since the reference"] * learned, *["error"] * known]
     return [Table(heads, rows, title="Beside tolerances of maps and sensors", about=captions.BESIDE_TOLERANCES)]
 
 

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 
 from dieseltwin.discovery.verdict.curves import Discovery
-from dieseltwin.discovery.verdict.document import HealthValue, JudgedRecording
+from dieseltwin.discovery.verdict.document import JudgedRecording
+from dieseltwin.discovery.verdict.health_value import HealthValue
 from dieseltwin.report import quantities, style
 from dieseltwin.report.discovery_words import display_unit, unit_of
 from dieseltwin.report.trend import Trend, trend_figure

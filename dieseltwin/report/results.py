@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from dieseltwin.discovery.verdict.health_value import SinceReference
 from dieseltwin.errors import InputError
 from dieseltwin.sealed import opened_json
 from dieseltwin.settings.methods import known
@@ -27,13 +28,15 @@ PARAMETERS = HEALTH_NAMES
 
 @dataclass(frozen=True)
 class Estimate:
-    """One parameter's estimate, in SI units: value, standard deviation, 90 % interval, Cramer-Rao bound (a std)."""
+    """One parameter's estimate, in SI units: value, standard deviation, 90 % interval, Cramer-Rao bound (a std), and
+    over what it was when the engine was learned."""
 
     mean: float
     std: float
     interval_90: tuple[float, float]
     bound: float
     identifiable: bool
+    since_reference: SinceReference | None = None
 
     @property
     def finite(self) -> bool:
@@ -144,12 +147,14 @@ def number(value: Any) -> float:
 
 def _estimate(entry: Mapping[str, Any]) -> Estimate:
     low, high = entry.get("interval_90") or (None, None)
+    since = entry.get("since_reference")
     return Estimate(
         mean=number(entry.get("mean")),
         std=number(entry.get("std")),
         interval_90=(number(low), number(high)),
         bound=number(entry.get("bound")),
         identifiable=bool(entry.get("identifiable")),
+        since_reference=None if since is None else SinceReference(**since),
     )
 
 

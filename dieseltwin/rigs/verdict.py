@@ -15,7 +15,6 @@ from dieseltwin.discovery.verdict.document import (
     Discrepancy,
     Fit,
     FoundEffect,
-    HealthValue,
     Location,
     Provenance,
     RecordingInfo,
@@ -30,6 +29,7 @@ from dieseltwin.discovery.verdict.findings import (
     site_probabilities,
     valid_for,
 )
+from dieseltwin.discovery.verdict.health_value import HealthValue
 from dieseltwin.discovery.verdict.reasons import candidate_rows
 from dieseltwin.discovery.verdict.when import when_words
 from dieseltwin.notes import Note

@@ -61,6 +61,12 @@ def test_health_of_a_learned_engine_is_no_better_known_than_when_it_was_learned(
         told = learned.health[name]
         assert told.std >= 0.9 * at_least and told.std > alone.health[name].std
         assert abs(told.value - getattr(we2011.PARAMETERS, name)) < 4.0 * told.std
+        since = told.since_reference  # nothing became of it
+        assert alone.health[name].since_reference is None and since is not None
+        assert abs(since.value - 1.0) < 4.0 * since.std < 1.0
+    said = dt.identify(drive(120.0, seed=31), file, runs=1)
+    assert "since the reference A_egrmax " in said.sentence
+    assert ((said.table()["since_reference"] - 1.0).abs() < 4.0 * said.table()["since_reference_std"]).all()
 
 
 @pytest.mark.thorough

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtrc
 
-from dieseltwin.discovery.likelihood.fit import Linearisation
+from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation
 from dieseltwin.discovery.twins.interface import Array, Lanes, Twin, repeated
 from dieseltwin.least_squares import symmetric_root
 
@@ -125,6 +125,23 @@ def best_of_each(scored: Sequence[Scored]) -> list[Scored]:
         if item.name not in best or item.gain > best[item.name].gain:
             best[item.name] = item
     return sorted(best.values(), key=lambda item: -item.gain)
+
+
+def as_fits(at: Linearisation, scored: Sequence[Scored]) -> list[Fit]:
+    """The linear estimate of each effect that shows as a fit of its own, strongest first: what the parameters are
+    beside it, and of its covariance the variance of the effect's size alone."""
+    rows, prior_std = at.projected.shape[1], np.array([p.prior_std for p in at.twin.parameters])
+    fits = []
+    for item in best_of_each(scored):
+        if not np.isfinite(item.std):
+            continue
+        # `without_parameters` left what each parameter moves by beside its prior
+        moved = item.magnitude * item.projected[rows : rows + prior_std.size] * prior_std
+        covariance = np.diag(np.append(np.zeros(prior_std.size), item.std**2))
+        fits.append(replace(at.fit, candidate=Candidate((item.name,)), parameters=at.fit.parameters + moved,
+                            magnitudes=np.array([item.magnitude]), objective=at.fit.objective - item.gain,
+                            covariance=covariance))  # fmt: skip
+    return fits
 
 
 @dataclass(frozen=True)

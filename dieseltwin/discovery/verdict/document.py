@@ -16,6 +16,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationError, model_validator
 
 from dieseltwin.atomic import write_json
+from dieseltwin.discovery.verdict.health_value import HealthValue, NotNegative
 from dieseltwin.engine.courses import Spans
 from dieseltwin.errors import InputError
 from dieseltwin.notes import Note, warnings_of
@@ -30,7 +31,6 @@ FILE_NAME = "discrepancy.json"
 _ROUNDING = 1e-6  # of probabilities that sum to one
 
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]
-NotNegative = Annotated[float, Field(ge=0.0)]
 Name = Annotated[str, Field(min_length=1)]
 Range = tuple[float, float]
 
@@ -140,23 +140,6 @@ class FoundEffect(FrozenModel):
     def names(self) -> tuple[str, ...]:
         """The reported set: the name and what can't be told from it."""
         return (self.name, *self.equivalent_names)
-
-
-class SinceReference(FrozenModel):
-    """A health parameter now over what it was when the reference was recorded [-], and its standard deviation."""
-
-    value: float
-    std: NotNegative
-
-
-class HealthValue(FrozenModel):
-    """A health parameter of the repaired twin, its standard deviation, and its value in the health-only fit; what
-    became of it since the reference, where there is one."""
-
-    value: float
-    std: NotNegative | None
-    before: float
-    since_reference: SinceReference | None = where_told()
 
 
 class Reference(FrozenModel):

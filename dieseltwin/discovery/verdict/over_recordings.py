@@ -13,12 +13,11 @@ from dieseltwin.discovery.twins.interface import Array, Twin
 from dieseltwin.discovery.twins.several import SeveralTwin, ways_to_differ
 from dieseltwin.discovery.verdict.document import (
     FoundEffect,
-    HealthValue,
     JudgedRecording,
     Location,
-    SinceReference,
     SizeValue,
 )
+from dieseltwin.discovery.verdict.health_value import HealthValue, SinceReference
 from dieseltwin.discovery.verdict.unseen import health_bias
 from dieseltwin.engine import HEALTH
 from dieseltwin.recordings.dates import ORDER, Dated
