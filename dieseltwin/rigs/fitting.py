@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from dieseltwin.discovery.likelihood.fit import Linearisation, first_fit, fit_fully
-from dieseltwin.discovery.likelihood.metric import Metric, covariance_of
+from dieseltwin.discovery.likelihood.metric import Metric, covariance_of, std_of
 from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.rigs.parameters import RigParameters
 from dieseltwin.rigs.recording import RigRecording
@@ -51,7 +51,7 @@ def _std(at: Linearisation) -> Array:
     """
     metric = Metric(at.whitening, at.twin.starts, at.local_response, _ANYWHERE * at.twin.state_scales)
     projected = metric.project(at.jacobian)
-    return np.asarray(np.sqrt(np.diag(covariance_of(projected @ projected.T + np.diag(at.precision)))))
+    return std_of(covariance_of(projected @ projected.T + np.diag(at.precision)))
 
 
 def _fit(rig: RigParameters, recording: RigRecording) -> Linearisation:

@@ -10,7 +10,8 @@ import pytest
 
 import dieseltwin as dt
 from dieseltwin.cli.app import main
-from dieseltwin.discovery.likelihood.metric import covariance_of
+from dieseltwin.discovery.likelihood.metric import covariance_of, std_of
+from dieseltwin.discovery.verdict.explain import load_details
 from dieseltwin.rigs.fitting import checked_rows
 from dieseltwin.rigs.parameters import RigParameters, RigTerm, load_rig, save_rig
 from dieseltwin.rigs.recording import read_rig
@@ -107,7 +108,15 @@ def test_what_a_recording_says_nothing_of_stands_still() -> None:
     information = np.array([[4.0, 0.0, 2.0], [0.0, 0.0, 0.0], [2.0, 0.0, 9.0]])
     covariance = covariance_of(information)
     assert np.allclose(covariance[np.ix_([0, 2], [0, 2])], np.linalg.inv(information[np.ix_([0, 2], [0, 2])]))
-    assert covariance[1].tolist() == [0.0, 1.0, 0.0]
+    assert covariance[1, [0, 2]].tolist() == [0.0, 0.0] and std_of(9.0 * covariance)[1] == np.inf
+    assert np.allclose(std_of(covariance)[[0, 2]], np.sqrt(np.diag(covariance)[[0, 2]]))
+
+
+def test_of_an_effect_that_does_not_show_no_size_is_claimed(tmp_path: Path) -> None:
+    recorded(0.0, 0.0, 40.0).to_csv(tmp_path / "a.csv", index=False)
+    dt.discover(tmp_path / "a.csv", engine=RIG).save(tmp_path / "out")
+    shown = {row["name"]: row["std"] for row in load_details(tmp_path / "out")["candidates"]}
+    assert (shown["overflow"] or np.inf) > 1e6 > 1e3 * shown["offset"]
 
 
 def test_what_judges_an_onset_lies_behind_it(found: Path) -> None:

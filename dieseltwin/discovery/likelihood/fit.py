@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from dieseltwin.discovery.likelihood.metric import Metric, WhitenedNuisances, Whitening, covariance_of
+from dieseltwin.discovery.likelihood.metric import Metric, WhitenedNuisances, Whitening, covariance_of, std_of
 from dieseltwin.discovery.likelihood.windows import bounded, settled_windows
 from dieseltwin.discovery.time_limit import check_time
 from dieseltwin.discovery.twins.interface import Array, Lanes, Strained, Twin, repeated, single
@@ -65,10 +65,10 @@ class Fit:
 
     @property
     def std(self) -> Array:
-        """(P + m,) standard deviations, NaN before they are known."""
+        """(P + m,) standard deviations, NaN before they are known, infinite where the recording tells nothing."""
         if self.covariance is None:
             return np.full(self.parameters.size + self.magnitudes.size, np.nan)
-        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        return std_of(self.covariance)
 
 
 def first_fit(twin: Twin, candidate: Candidate | None = None, magnitudes: Sequence[float] = ()) -> Fit:

@@ -21,6 +21,9 @@ from scipy.linalg import cho_solve, cholesky, solve_triangular
 from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.recordings.noise import Noise
 
+UNKNOWN = 1e30
+"""Variance of what nothing is known of; in any unit far above all that is."""
+
 _LOCAL_PRIOR = 1.0  # of a state's scale: weak, only holds states that no reading of the window sees
 
 
@@ -312,7 +315,15 @@ def covariance_of(information: Array) -> Array:
     """Inverse of an information matrix (K, K).
 
     What the recording and beliefs tell nothing of (the overflow of a tank that never fills) stands still, apart from
-    all others; its variance is 1, as an infinite one times a slope of nought would be no number.
+    all others. Its variance is `UNKNOWN`: an infinite one times a slope of nought would be no number.
     """
     silent = np.diag(information) == 0.0
-    return np.asarray(np.linalg.inv(information + np.diag(silent.astype(np.float64))), dtype=np.float64)
+    found = np.linalg.inv(information + np.diag(silent.astype(np.float64)))
+    found[silent, silent] = UNKNOWN
+    return np.asarray(found, dtype=np.float64)
+
+
+def std_of(covariance: Array) -> Array:
+    """Standard deviations (K,) of a covariance of `covariance_of`, infinite where nothing is known."""
+    variance = np.maximum(np.diag(covariance), 0.0)
+    return np.where(variance < 1e-6 * UNKNOWN, np.sqrt(variance), np.inf)  # whatever factor it was widened by

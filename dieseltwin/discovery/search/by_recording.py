@@ -126,18 +126,19 @@ def _singles(part: Twin, settings: SearchSettings) -> dict[str, tuple[float, Fit
 
 def _start(twin: OverRecordings, name: str, fits: Sequence[dict[str, tuple[float, Fit]]]) -> Start:
     """The profile that the sizes found in each recording fit best, least squares by their own precision."""
-    sizes, weights = np.zeros(len(fits)), np.zeros(len(fits))
+    sizes, weights = np.zeros(len(fits)), np.full(len(fits), np.nan)
     for r, own in enumerate(fits):
-        if name not in own:  # too weak there to be looked at: nothing, as precisely as where it is seen best
-            continue
-        fit = own[name][1]
-        sizes[r], weights[r] = float(fit.magnitudes[0]), 1.0 / float(fit.std[-1]) ** 2
-    weights[weights == 0.0] = weights.max()
+        if name in own:
+            fit = own[name][1]
+            sizes[r], weights[r] = float(fit.magnitudes[0]), 1.0 / float(fit.std[-1]) ** 2
+    # too weak there to be looked at: nothing, as precisely as where it is seen best
+    weights = np.nan_to_num(weights, nan=np.nanmax(weights))
     profiles: dict[str | None, Array] = {None: np.ones(len(fits))}
     profiles.update(twin.factors)
     costs = {}
     for key, factors in profiles.items():
-        size = float((weights * factors * sizes).sum() / (weights * factors**2).sum())
+        told = float((weights * factors**2).sum())  # nothing where a profile has it only where it doesn't show
+        size = float((weights * factors * sizes).sum()) / told if told > 0.0 else 0.0
         costs[key] = (float((weights * (sizes - size * factors) ** 2).sum()), size)
     best = min(costs, key=lambda key: costs[key][0])
     own_fits = [own.get(name, own[""])[1] for own in fits]

@@ -177,7 +177,7 @@ def occam(found: Search, fit: Fit) -> float:
     value = 0.5 * found.gain(fit)
     stds, spread = fit.std[len(found.twin.parameters) :], np.log(found.settings.believed_range)
     for magnitude, std in zip(np.abs(fit.magnitudes), stds, strict=True):
-        if np.isfinite(std) and std > 0 and magnitude > 0:
+        if std > 0 and magnitude > 0:
             value += float(np.log(np.sqrt(2 * np.pi) * min(std, magnitude) / (magnitude * spread)))
     return value
 

@@ -368,8 +368,11 @@ def joined(signals: Mapping[str, Array], more: Mapping[str, Array]) -> dict[str,
     return out
 
 
-_OF_LANES = ("trajectories", "circumstance_responses")
-"""What a twin may offer besides that takes lanes first."""
+_OF_LANES = (
+    "simulate_all", "trajectories", "circumstance_responses", "covariance_between_rows", "nuisances",
+    "simulate_with_laws",
+)  # fmt: skip
+"""What else of a twin takes lanes first."""
 
 
 class WithSignals:
