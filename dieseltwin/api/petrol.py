@@ -176,7 +176,8 @@ def _options(asked: Asked) -> PetrolOptions:
     """What was asked for as the search takes it."""
     sensors = None if asked.sensors is None else tuple(asked.sensors)
     search = asked.settings.search.petrol
-    return PetrolOptions(sensors, tuple(asked.withhold or ()), asked.map_tolerance, asked.random_seed, search)
+    return PetrolOptions(sensors=sensors, withhold=tuple(asked.withhold or ()), map_tolerance=asked.map_tolerance,
+                         seed=asked.random_seed, search=search)
 
 
 def _left_out(options: PetrolOptions) -> tuple[str, ...]:

@@ -289,7 +289,8 @@ def ask(
         if name not in STATES:
             raise unknown_name("--sensors", name, list(STATES))
     question.check(EFFECTS, search.withhold)
-    options = Options(sensors or None, tuple(question.withhold or ()), question.random_seed, search=search)
+    options = Options(sensors=sensors or None, withhold=tuple(question.withhold or ()), seed=question.random_seed,
+                      search=search)
     source = settled_points(points, channels, geometry, NEEDED)
     if isinstance(engine, str | Path) and not question.reference:
         source = replace(source, notes=(*source.notes, *other_points(Path(engine), source)))

@@ -149,7 +149,7 @@ def ask(
         "engine_sha256": sha256(rig.model_dump_json().encode()).hexdigest(),
         "search_sha256": params_sha256(search.model_dump(mode="json")), "channels_sha256": channels_sha256(channels),
     }  # fmt: skip
-    options = Options(withhold, question.random_seed, search=search)
+    options = Options(withhold=withhold, seed=question.random_seed, search=search)
     return RigQuestion(rig_recording(recording, rig, all_readings=True), rig, options, asked)
 
 

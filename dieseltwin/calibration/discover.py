@@ -34,6 +34,7 @@ from dieseltwin.calibration.steady_twin import SteadyTwin, hypotheses_of
 from dieseltwin.discovery.laws.search import Law
 from dieseltwin.discovery.laws.sensor import best_law
 from dieseltwin.discovery.laws.terms import law_terms_of
+from dieseltwin.discovery.options import SearchOptions
 from dieseltwin.discovery.search import run as search
 from dieseltwin.discovery.search.preparation import tolerance_responses
 from dieseltwin.discovery.search.state import Search
@@ -43,7 +44,7 @@ from dieseltwin.engine.parameters import EngineParameters
 from dieseltwin.engine.terms import OneTerm, SensorTerm, Term, corrections_in, law_terms, with_corrections
 from dieseltwin.recordings.steady_points import STATES
 from dieseltwin.settings.defaults import default_search
-from dieseltwin.settings.search import PointSettings, SearchSettings, SubmodelErrors
+from dieseltwin.settings.search import PointSettings, SubmodelErrors
 
 Array = NDArray[np.float64]
 
@@ -51,27 +52,19 @@ FULL_ITERATIONS, TRAIN_ITERATIONS = 20, 4
 _SIGNIFICANT = 2.0  # standard deviations
 
 
-@dataclass(frozen=True)
-class Options:
+@dataclass(frozen=True, kw_only=True)
+class Options(SearchOptions):
     """What a user may choose.
 
     Attributes:
         sensors: columns to use, None for all.
-        withhold: effects to keep out of the catalogue.
-        seed: of everything random.
         law_search: look for a law where no name fits.
         search: what is decided by, and believed of the submodels.
     """
 
     sensors: tuple[str, ...] | None = None
-    withhold: tuple[str, ...] = ()
-    seed: int = 0
     law_search: bool = True
     search: PointSettings = field(default_factory=lambda: default_search().points)
-
-    def settings(self) -> SearchSettings:
-        """For the search of a round."""
-        return self.search.asked(self.withhold, self.seed)
 
 
 @dataclass(frozen=True)

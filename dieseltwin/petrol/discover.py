@@ -15,6 +15,7 @@ import numpy as np
 
 from dieseltwin.discovery.likelihood.fit import Fit
 from dieseltwin.discovery.likelihood.score import without_parameters
+from dieseltwin.discovery.options import SearchOptions
 from dieseltwin.discovery.search import run as shared
 from dieseltwin.discovery.search.alarms import raises_alarm
 from dieseltwin.discovery.search.courses import schedule_of
@@ -64,22 +65,17 @@ SPLIT_BY = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True)
-class PetrolOptions:
+@dataclass(frozen=True, kw_only=True)
+class PetrolOptions(SearchOptions):
     """What a user may choose.
 
     Attributes:
         sensors: columns to use, None for all; those that no balance can do without have to be among them.
-        withhold: effects to keep out of the catalogue.
         map_tolerance: standard deviation of the maps' smooth relative errors, None for the engine's own [-].
-        seed: of everything random.
-        search: what is decided by.
     """
 
     sensors: tuple[str, ...] | None = None
-    withhold: tuple[str, ...] = ()
     map_tolerance: float | None = None
-    seed: int = 0
     search: SearchSettings = field(default_factory=lambda: default_search().petrol)
 
 
@@ -157,7 +153,7 @@ def _searched(
 ) -> tuple[PetrolTwin, Search]:
     """One search; `explained`: what an earlier one found. An effect below its interest is none."""
     twin = PetrolTwin(engine, signals, options.sensors, explained)
-    found = shared.run(twin, options.search.asked(options.withhold, options.seed), laws=False)
+    found = shared.run(twin, options.settings(), laws=False)
     next_single(found)
     if found.best is not None and not found.of_interest(found.best.fit):
         found.kind, found.best, found.variant = "healthy", None, None

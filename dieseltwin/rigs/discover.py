@@ -20,6 +20,7 @@ import numpy as np
 from dieseltwin.discovery.laws.search import Law
 from dieseltwin.discovery.laws.sensor import best_law
 from dieseltwin.discovery.likelihood.fit import Fit, Linearisation, fit_fully
+from dieseltwin.discovery.options import SearchOptions
 from dieseltwin.discovery.search import run as search
 from dieseltwin.discovery.search.preparation import recentred
 from dieseltwin.discovery.search.state import Search
@@ -38,19 +39,14 @@ _FAR_BEHIND = 4.0  # what leaves so many times the squared misfit of another exp
 _DATINGS = 3  # of what a round names: with its own onset other names may be ahead
 
 
-@dataclass(frozen=True)
-class Options:
+@dataclass(frozen=True, kw_only=True)
+class Options(SearchOptions):
     """What a user may choose.
 
     Attributes:
-        withhold: effects to keep out of the catalogue.
-        seed: of everything random.
         law_search: look for a law where no name fits.
-        search: what is decided by.
     """
 
-    withhold: tuple[str, ...] = ()
-    seed: int = 0
     law_search: bool = True
     search: RigSettings = field(default_factory=lambda: default_search().rigs)
 
@@ -309,7 +305,7 @@ def _searched(rig: RigParameters, left: Array, recording: RigRecording, options:
 
 def _passes(twin: RigTwin, options: Options, starts: Sequence[Fit] = ()) -> Search:
     """The search, with gains counted in the misfit that its own explanation leaves; `starts`: as of `search.run`."""
-    settings = options.search.asked(options.withhold, options.seed)
+    settings = options.settings()
     lead: tuple[str, ...] = ()
     for _ in range(_PASSES):
         found = search.run(twin, settings, laws=False, starts=starts)
