@@ -17,14 +17,14 @@ from dieseltwin.api.engines import PUBLISHED, AnyEngine, diesel_engine
 from dieseltwin.api.findings import Asked, Discovered, Question, channels_sha256, machine, sha256_if_there
 from dieseltwin.api.reading import Channels, Opened, as_engine, over_time
 from dieseltwin.api.results import drawn
-from dieseltwin.atomic import atomic_folder, write_json, write_text
+from dieseltwin.atomic import write_text
 from dieseltwin.discovery import discover as core
 from dieseltwin.discovery.options import Options
 from dieseltwin.discovery.verdict.assemble import together_sha256
 from dieseltwin.discovery.verdict.checks import check_engine, check_fit, check_recording, check_sensitivity
 from dieseltwin.discovery.verdict.curves import Discovery
-from dieseltwin.discovery.verdict.document import FILE_NAME, Discrepancy, with_warnings
-from dieseltwin.discovery.verdict.explain import DETAILS, Known, answers, details_of, plain
+from dieseltwin.discovery.verdict.document import Discrepancy, with_warnings
+from dieseltwin.discovery.verdict.explain import Known, answers, details_of, plain
 from dieseltwin.discovery.verdict.implied import implied_frame
 from dieseltwin.engine import HEALTH, EngineParameters, we2011
 from dieseltwin.engine.effects import EFFECTS
@@ -42,7 +42,7 @@ from dieseltwin.report.beside import begin_ahead, begin_beside, ready_beside
 from dieseltwin.report.circumstance_words import alike_words, blameless_words, circumstances_words
 from dieseltwin.report.discovery_words import sentence as in_words
 from dieseltwin.report.discovery_words import visible_table
-from dieseltwin.sealed import sealed_json, sealed_text
+from dieseltwin.sealed import sealed_text
 from dieseltwin.settings.names import listed
 from dieseltwin.settings.params import params_sha256
 from dieseltwin.version import __version__
@@ -52,7 +52,6 @@ if TYPE_CHECKING:
 
 _REPORT_S = 5.0  # of a time limit that document, figures and page need
 TOLERANCE_RANGE = (0.0, 0.05)  # map tolerance [-]; with more, nothing is left to find
-OWNED = ("figures", "report.html", "report.pdf", "implied.parquet", "engine.yaml", "runtime.json", DETAILS)
 
 
 @dataclass(frozen=True, repr=False)
@@ -64,6 +63,8 @@ class DrivingDiscovered(Discovered):
         found: document, repaired engine and curves.
         seconds: wall time of the answer [s].
     """
+
+    own_files = ("engine.yaml", "implied.parquet")
 
     question: DrivingQuestion
     found: Discovery
@@ -98,28 +99,24 @@ class DrivingDiscovered(Discovered):
         }  # fmt: skip
         return drawn(self.found, drawings, name)
 
-    def save(self, out: str | Path) -> Path:
-        """discrepancy.json, details.json, report.html, figures/, implied.parquet, engine.yaml, runtime.json."""
-        began = time.perf_counter()
-        with atomic_folder(out, owned=OWNED) as folder:
-            self.document.write(folder / FILE_NAME)
-            details = details_of(self.found, self.question.asked, list(self.question.notes))
-            write_json(folder / DETAILS, sealed_json(details))
-            write_text(folder / "engine.yaml", engine_yaml(self.engine))
-            written = begin_beside(driving_page.write, replace(self.found, document=self.document), folder)
-            stds = {n: v.std for n, v in self.document.health.items() if v.std is not None and n in HEALTH}
-            sensors = self.question.options.sensors
-            judged, whole = self.question.recording, self.question.whole
-            starts, local = (self.found.starts, self.found.local) if whole is judged else (None, None)
-            last = [c for c in self.document.circumstances if c.recording in (None, len(self.document.recordings))]
-            apart = [c for c in last if c.off or kind_of(c.name) == TIME_SHIFT]
-            source, _ = put_right(whole, self.engine, {item.name: item.value for item in apart})
-            implied = implied_frame(source, self.engine, stds, sensors=sensors, starts=starts, local=local)
-            implied.to_parquet(folder / "implied.parquet", index=False, write_page_checksum=True)
-            written()
-            seconds = self.seconds + time.perf_counter() - began
-            write_json(folder / "runtime.json", plain({**self.found.runtime, "seconds": seconds, **machine()}))
-        return Path(out)
+    def _details(self) -> Mapping[str, Any]:
+        return details_of(self.found, self.question.asked, list(self.question.notes))
+
+    def _write(self, folder: Path, began: float) -> dict[str, Any]:
+        write_text(folder / "engine.yaml", engine_yaml(self.engine))
+        written = begin_beside(driving_page.write, replace(self.found, document=self.document), folder)
+        stds = {n: v.std for n, v in self.document.health.items() if v.std is not None and n in HEALTH}
+        sensors = self.question.options.sensors
+        judged, whole = self.question.recording, self.question.whole
+        starts, local = (self.found.starts, self.found.local) if whole is judged else (None, None)
+        last = [c for c in self.document.circumstances if c.recording in (None, len(self.document.recordings))]
+        apart = [c for c in last if c.off or kind_of(c.name) == TIME_SHIFT]
+        source, _ = put_right(whole, self.engine, {item.name: item.value for item in apart})
+        implied = implied_frame(source, self.engine, stds, sensors=sensors, starts=starts, local=local)
+        implied.to_parquet(folder / "implied.parquet", index=False, write_page_checksum=True)
+        written()
+        seconds = self.seconds + time.perf_counter() - began
+        return {**plain(self.found.runtime), "seconds": seconds, **machine()}
 
     def lines(self) -> list[str]:
         return ["", self.sentence]

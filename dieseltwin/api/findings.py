@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
@@ -11,22 +12,26 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from hashlib import sha256
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import pandas as pd
 
 from dieseltwin.api.engines import AnyEngine, Engine
 from dieseltwin.api.reading import Channels, Opened, Source
 from dieseltwin.api.results import Result
-from dieseltwin.discovery.verdict.document import Discrepancy
-from dieseltwin.discovery.verdict.explain import Known
+from dieseltwin.atomic import atomic_folder, write_json
+from dieseltwin.discovery.verdict.document import FILE_NAME, Discrepancy
+from dieseltwin.discovery.verdict.explain import DETAILS, Known
 from dieseltwin.errors import InputError
 from dieseltwin.paths import file_sha256
 from dieseltwin.recordings.reader import Recording
+from dieseltwin.sealed import sealed_json
 from dieseltwin.settings.defaults import default_discover
 from dieseltwin.settings.discovery import DiscoverConfig
 from dieseltwin.settings.names import unknown_name
 
+RUNTIME = "runtime.json"
+FILES = (FILE_NAME, DETAILS, "report.html", "report.pdf", "figures", RUNTIME)
 COLUMNS = ("effect", "magnitude", "std", "unit", "probability", "equivalent", "law")
 
 
@@ -82,7 +87,13 @@ class Asked:
 
 
 class Discovered(Result):
-    """What the twin leaves out of a machine: the document, and the repaired engine."""
+    """What the twin leaves out of a machine: the document, and the repaired engine.
+
+    Attributes:
+        own_files: names of the files that `save` writes beside `FILES`, and of those that an older one may have left.
+    """
+
+    own_files: ClassVar[tuple[str, ...]] = ("engine.yaml",)
 
     @property
     @abstractmethod
@@ -104,6 +115,23 @@ class Discovered(Result):
         rows = [(e.name, e.magnitude, e.std, e.unit, e.probability, ", ".join(e.equivalent_names), e.law)
                 for e in self.document.effects]
         return pd.DataFrame(rows, columns=list(COLUMNS))
+
+    def save(self, out: str | Path) -> Path:
+        """discrepancy.json, details.json, report.html, figures/, runtime.json and the `own_files`, into a folder."""
+        began = time.perf_counter()
+        with atomic_folder(out, owned=(*FILES, *self.own_files)) as folder:
+            self.document.write(folder / FILE_NAME)
+            write_json(folder / DETAILS, sealed_json(self._details()))
+            write_json(folder / RUNTIME, self._write(folder, began))
+        return Path(out)
+
+    @abstractmethod
+    def _details(self) -> Mapping[str, Any]:
+        """What `details.json` holds, as JSON types."""
+
+    @abstractmethod
+    def _write(self, folder: Path, began: float) -> dict[str, Any]:
+        """Write the report and `own_files`; what `runtime.json` holds, where saving began at clock `began` [s]."""
 
 
 class Kind(Protocol):

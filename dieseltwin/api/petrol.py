@@ -16,9 +16,8 @@ from dieseltwin.api.engines import AnyEngine, named, petrol_base
 from dieseltwin.api.findings import Asked, Discovered, Question, channels_sha256, machine
 from dieseltwin.api.reading import Channels, Made, Opened, Source, petrol_recording
 from dieseltwin.api.results import Result, drawn
-from dieseltwin.atomic import atomic_folder, write_json
-from dieseltwin.discovery.verdict.document import FILE_NAME, Discrepancy, with_warnings
-from dieseltwin.discovery.verdict.explain import DETAILS, Known, answers, plain
+from dieseltwin.discovery.verdict.document import Discrepancy, with_warnings
+from dieseltwin.discovery.verdict.explain import Known, answers, plain
 from dieseltwin.errors import InputError
 from dieseltwin.notes import Note, warnings_of
 from dieseltwin.petrol.calibrate import SubmodelFit
@@ -31,7 +30,6 @@ from dieseltwin.recordings.channel_checks import series_notes
 from dieseltwin.recordings.shared_rows import refuse_shared, share_known
 from dieseltwin.report import petrol as pages
 from dieseltwin.report.page import write_page
-from dieseltwin.sealed import sealed_json
 from dieseltwin.settings.names import listed, refuse_options, unknown_name
 from dieseltwin.settings.params import params_sha256
 from dieseltwin.version import __version__
@@ -40,7 +38,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 TOLERANCE_RANGE = (0.0, 0.1)  # of the maps [-]; with more, nothing is left to find
-OWNED = ("figures", "report.html", "report.pdf", "engine.yaml", "runtime.json", DETAILS)
 
 
 @dataclass(frozen=True, repr=False)
@@ -76,18 +73,14 @@ class PetrolDiscovered(Discovered):
                     "over_pressure": lambda found: pages.over_pressure(found).still, "candidates": pages.candidates}
         return drawn(self.found, drawings, name)
 
-    def save(self, out: str | Path) -> Path:
-        """discrepancy.json, details.json, report.html, figures/, engine.yaml, runtime.json."""
-        began = time.perf_counter()
-        with atomic_folder(out, owned=OWNED) as folder:
-            self.document.write(folder / FILE_NAME)
-            write_json(folder / DETAILS, sealed_json(plain(details(self.found, self.question.asked))))
-            save_petrol(self.engine, folder / "engine.yaml")
-            told = replace(self.found, document=self.document)
-            write_page(pages.petrol_page(told), folder / "report.html", folder / "figures")
-            seconds = self.found.runtime_s + time.perf_counter() - began
-            write_json(folder / "runtime.json", {"seconds": seconds, **machine()})
-        return Path(out)
+    def _details(self) -> Mapping[str, Any]:
+        return plain(details(self.found, self.question.asked))  # type: ignore[no-any-return]
+
+    def _write(self, folder: Path, began: float) -> dict[str, Any]:
+        save_petrol(self.engine, folder / "engine.yaml")
+        told = replace(self.found, document=self.document)
+        write_page(pages.petrol_page(told), folder / "report.html", folder / "figures")
+        return {"seconds": self.found.runtime_s + time.perf_counter() - began, **machine()}
 
 
 @dataclass(frozen=True)

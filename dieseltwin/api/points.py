@@ -16,7 +16,7 @@ from dieseltwin.api.engines import AnyEngine, diesel_engine
 from dieseltwin.api.findings import Asked, Discovered, Question
 from dieseltwin.api.reading import Channels, Opened, Source, settled_points
 from dieseltwin.api.results import Result, drawn
-from dieseltwin.atomic import atomic_folder, check_writable, write_json
+from dieseltwin.atomic import atomic_folder, check_writable
 from dieseltwin.calibration.calibrate import Calibration, read_geometry
 from dieseltwin.calibration.calibrate import calibrate as calibrated
 from dieseltwin.calibration.discover import Options, PointsDiscovery, discover_points
@@ -32,8 +32,7 @@ from dieseltwin.calibration.saved import (
     write_repaired,
 )
 from dieseltwin.calibration.verdict import details, document
-from dieseltwin.discovery.verdict.document import FILE_NAME, Discrepancy
-from dieseltwin.discovery.verdict.explain import DETAILS
+from dieseltwin.discovery.verdict.document import Discrepancy
 from dieseltwin.engine import EngineParameters
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.errors import InputError
@@ -45,7 +44,6 @@ from dieseltwin.report import calibration as pages
 from dieseltwin.report import points as points_pages
 from dieseltwin.report.page import write_page
 from dieseltwin.report.style import ReportFigure
-from dieseltwin.sealed import sealed_json
 from dieseltwin.settings.names import refuse_options, unknown_name
 from dieseltwin.settings.params import params_sha256
 from dieseltwin.version import __version__
@@ -57,8 +55,6 @@ NEEDED = (*INPUTS, *SENSORS, "w_c_kg_s")
 SHOWN = 5  # names of a round in the printed lines
 DECIDED = 0.5  # of a variance, from which beliefs are said to decide
 FAR = 3.0  # standard deviations of the inputs that the engine was calibrated with
-OWNED = ("discrepancy.json", "details.json", "report.html", "report.pdf", "figures", "report_figures",
-         "implied.parquet", "repaired.yaml", "repaired.steady.json", "runtime.json")  # fmt: skip
 
 
 # --- calibrate
@@ -160,6 +156,8 @@ class PointsDiscovered(Discovered):
         seconds: wall time of the answer [s].
     """
 
+    own_files = ("implied.parquet", "repaired.yaml", "repaired.steady.json", "report_figures")
+
     found: PointsDiscovery
     asked: Mapping[str, object]
     seconds: float
@@ -197,22 +195,17 @@ class PointsDiscovered(Discovered):
         }  # fmt: skip
         return drawn(self.found, drawings, name)
 
-    def save(self, out: str | Path) -> Path:
-        """discrepancy.json, details.json, report.html, figures/, implied.parquet, repaired.yaml with its sidecar,
-        runtime.json."""
-        began = time.perf_counter()
+    def _details(self) -> Mapping[str, Any]:
+        return details(self.found, self.asked)
+
+    def _write(self, folder: Path, began: float) -> dict[str, Any]:
         used = self.found.calibration.points.judged
-        with atomic_folder(out, owned=OWNED) as folder:
-            implied = self.answers(used)
-            self.document.write(folder / FILE_NAME)
-            write_json(folder / DETAILS, sealed_json(details(self.found, self.asked)))
-            write_repaired(self.found, folder / "repaired.yaml", self.answers)
-            _beside(used, implied).to_parquet(folder / "implied.parquet", index=False)
-            page = points_pages.points_page(self.found, self.document, self.sentence, implied)
-            write_page(page, folder / "report.html", folder / "figures")
-            seconds = self.seconds + time.perf_counter() - began
-            write_json(folder / "runtime.json", {"seconds": seconds, "version": __version__})
-        return Path(out)
+        implied = self.answers(used)
+        write_repaired(self.found, folder / "repaired.yaml", self.answers)
+        _beside(used, implied).to_parquet(folder / "implied.parquet", index=False)
+        page = points_pages.points_page(self.found, self.document, self.sentence, implied)
+        write_page(page, folder / "report.html", folder / "figures")
+        return {"seconds": self.seconds + time.perf_counter() - began, "version": __version__}
 
     def lines(self) -> list[str]:
         tried = [

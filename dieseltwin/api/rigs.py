@@ -17,8 +17,8 @@ from dieseltwin.api.findings import Asked, Discovered, Question, channels_sha256
 from dieseltwin.api.reading import Channels, Opened, Source, rig_recording
 from dieseltwin.api.results import Result, drawn
 from dieseltwin.atomic import atomic_folder, write_json
-from dieseltwin.discovery.verdict.document import FILE_NAME, Discrepancy
-from dieseltwin.discovery.verdict.explain import DETAILS, Known, answers
+from dieseltwin.discovery.verdict.document import Discrepancy
+from dieseltwin.discovery.verdict.explain import Known, answers
 from dieseltwin.errors import InputError
 from dieseltwin.notes import READING, Note
 from dieseltwin.rigs.discover import Options, RigDiscovery, discover_rig
@@ -28,7 +28,6 @@ from dieseltwin.rigs.recording import RigRecording
 from dieseltwin.rigs.simulate import run_error, simulate_rig
 from dieseltwin.rigs.twin import model_of
 from dieseltwin.rigs.verdict import HOLD, LONG_STEPS, details, document, sentence
-from dieseltwin.sealed import sealed_json
 from dieseltwin.settings.names import refuse_options
 from dieseltwin.settings.params import params_sha256
 from dieseltwin.version import __version__
@@ -37,7 +36,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 UNTOLD = 0.9  # of what was believed beforehand: a deviation that a recording left as wide
-OWNED = ("engine.yaml", "report.html", "report.pdf", "figures", "runtime.json", DETAILS, FILE_NAME)
 
 
 def _over_readings(result: Result, rig: RigParameters, recording: RigRecording, name: str | None) -> Figure:
@@ -80,20 +78,18 @@ class RigDiscovered(Discovered):
         """`readings`: the repaired machine in free runs beside what was recorded."""
         return _over_readings(self, self.engine, self.found.recording, name)
 
-    def save(self, out: str | Path) -> Path:
-        """discrepancy.json, details.json, report.html, figures/, engine.yaml (repaired), runtime.json."""
+    def _details(self) -> Mapping[str, Any]:
+        return details(self.found, self.question.asked)
+
+    def _write(self, folder: Path, began: float) -> dict[str, Any]:
         from dieseltwin.report.page import write_page
         from dieseltwin.report.rigs import rig_page  # matplotlib takes longer to load than a rig to simulate
 
-        with atomic_folder(out, owned=OWNED) as folder:
-            self.document.write(folder / FILE_NAME)
-            write_json(folder / DETAILS, sealed_json(details(self.found, self.question.asked)))
-            save_rig(self.engine, folder / "engine.yaml")
-            runtime = {"seconds": self.found.seconds, **machine()}
-            page = rig_page(self.found, self.document, self.sentence, runtime)
-            write_page(page, folder / "report.html", folder / "figures")
-            write_json(folder / "runtime.json", runtime)
-        return Path(out)
+        save_rig(self.engine, folder / "engine.yaml")
+        runtime = {"seconds": self.found.seconds, **machine()}
+        page = rig_page(self.found, self.document, self.sentence, runtime)
+        write_page(page, folder / "report.html", folder / "figures")
+        return runtime
 
 
 @dataclass(frozen=True)
