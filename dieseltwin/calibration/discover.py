@@ -186,7 +186,8 @@ def discover_points(calibration: Calibration, options: Options | None = None) ->
         twin = SteadyTwin(there, options.search, options.sensors, options.seed)
         settings = options.settings()
         found = search.run(twin, settings.asked(tuple(faded), options.seed), laws=False)
-        added = _named(found, options.search.least_explained)
+        misfit = max(found.null.fit.objective - found.twin.measured.size, 1.0)
+        added = found.names_for_round(misfit, options.search.least_explained, refused=True)
         if not added or len(names) + len(added) > options.search.most_effects:
             rounds.append(Round(found, (), nll, False))
             break
@@ -231,20 +232,6 @@ def discover_points(calibration: Calibration, options: Options | None = None) ->
         law, terms, scatter, options, _formulations(here, free, options.search.submodels), time.perf_counter() - clock,
         before_law,
     )  # fmt: skip
-
-
-def _named(found: Search, least_explained: float) -> tuple[str, ...]:
-    """What a round takes: the search's choice, or the strongest name where what it leaves is the next round's."""
-    if found.kind == "healthy":
-        return ()
-    if found.best is not None and found.kind in ("single", "pair"):
-        return found.best.fit.candidate.names
-    if not found.singles or not found.refused:
-        return ()
-    lead = found.singles[0]
-    misfit = max(found.null.fit.objective - found.twin.measured.size, 1.0)
-    strong = found.gain(lead) > found.settings.left_gain[0] and found.gain(lead) > least_explained * misfit
-    return lead.candidate.names if strong and found.of_interest(lead) else ()
 
 
 def _vanished(

@@ -242,7 +242,7 @@ def _course(
         since = onset_s if not rounds else None
         if rounds:
             found = _searched(here, fit.residual, recording, options)
-        names = _named(found, settings.least_explained)
+        names = found.names_for_round(found.null.fit.objective, settings.least_explained)
         law = None
         if not names and found.kind != "healthy" and options.law_search and since is None:
             law = _law(found)
@@ -282,7 +282,7 @@ def _since(midway: Linearisation, options: Options) -> tuple[Search, float]:
     near = [midway.fit]
     for _ in range(_DATINGS):
         found = _passes(twin, options, near)
-        names = _named(found, settings.least_explained)
+        names = found.names_for_round(found.null.fit.objective, settings.least_explained)
         if not names:
             break
         moved = dated(cast(RigTwin, found.twin), found.whitening, _explanation(found, names), settings)
@@ -343,19 +343,6 @@ def _strongest_first(found: Search) -> None:
 def _tolerances(found: Search, fit: Fit) -> float:
     names = fit.candidate.names
     return sum(abs(m) / found.twin.hypotheses[n].tolerance for n, m in zip(names, fit.magnitudes, strict=True))
-
-
-def _named(found: Search, least_explained: float) -> tuple[str, ...]:
-    """What a round takes: the search's choice, or the strongest name where what it leaves is the next round's."""
-    if found.kind == "healthy":
-        return ()
-    if found.best is not None and found.kind in ("single", "pair"):
-        return found.best.fit.candidate.names
-    if not found.singles:
-        return ()
-    lead = found.singles[0]
-    strong = found.gain(lead) > max(found.settings.left_gain[0], least_explained * found.null.fit.objective)
-    return lead.candidate.names if strong and found.of_interest(lead) else ()
 
 
 def _law(found: Search) -> Law | None:

@@ -160,6 +160,23 @@ class Search:
         """Whether what a fit explains is an alarm if its sizes are of interest."""
         return bool(self.gain(fit) >= max(self.settings.alarm_gain, self.chance.threshold(self.settings.alarm_level)))
 
+    def names_for_round(self, misfit: float, least_explained: float, refused: bool = False) -> tuple[str, ...]:
+        """What a round takes: the choice, or the strongest name where what it leaves is the next round's.
+
+        Args:
+            misfit: of the health-only fit; least_explained: share of it that the strongest name must explain [-].
+            refused: only a search that refused a choice leaves something to the next round.
+        """
+        if self.kind == "healthy":
+            return ()
+        if self.best is not None and self.kind in ("single", "pair"):
+            return self.best.fit.candidate.names
+        if not self.singles or (refused and not self.refused):
+            return ()
+        lead = self.singles[0]
+        strong = self.gain(lead) > max(self.settings.left_gain[0], least_explained * misfit)
+        return lead.candidate.names if strong and self.of_interest(lead) else ()
+
     def of_interest(self, fit: Fit) -> bool:
         """Whether the largest magnitude is near its tolerance of interest or above, and no other far below."""
         sizes = [
