@@ -22,10 +22,7 @@ _SETTLED = 0.3  # of a standard deviation: change in a pass that counts as none
 
 def signals_of(law: LawTwin, lanes: Lanes) -> dict[str, Array]:
     """Point -> (n,) what the laws add there in total along the trajectory of lane 0."""
-    signals: dict[str, Array] = {}
-    for placed, signal in zip(law.laws, law.signals(lanes), strict=True):
-        signals[placed.form.point] = signals.get(placed.form.point, 0.0) + signal
-    return signals
+    return law.entered(law.signals(lanes))
 
 
 def about_itself(at: Linearisation, tolerances: Tolerances | None, passes: int = _PASSES) -> Linearisation:

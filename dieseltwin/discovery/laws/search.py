@@ -8,7 +8,7 @@ inside, and the ranking done again, as a large effect moves the trajectory that 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -21,7 +21,7 @@ from dieseltwin.discovery.laws.ranking import Ranked, rank, shortlist, simpler
 from dieseltwin.discovery.laws.reading_twin import ReadingFault, ReadingTwin
 from dieseltwin.discovery.laws.refit import Refit, disagreement, refit_all_laws, spread_over_forms, start_of
 from dieseltwin.discovery.laws.responses import Responses
-from dieseltwin.discovery.laws.twin import LawTwin, Placed
+from dieseltwin.discovery.laws.twin import LawTwin, Placed, point_index
 from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, fit_fully
 from dieseltwin.discovery.twins.interface import ONSET_REACHES_S, Array, Twin, WithSignals, times_about
 
@@ -204,7 +204,7 @@ def _complexity(refit: Refit) -> int:
 
 def law_text(twin: Twin, form: Form, coefficient: float, shape: float | None = None, std: float | None = None) -> str:
     """"point: +1.2e-3 kg/s (p_im/p_amb)^0.5"; `std` is the coefficient's, or the shape's where that alone is free."""
-    point = next(p for p in twin.points if p.name == form.point)
+    point = twin.points[point_index(twin.points, form.point)]
     if form.fixed is not None:
         factor = form.factors[0]
         return f"{point.name} becomes {factor.operated(factor.shape if shape is None else shape, std)}"
@@ -224,18 +224,22 @@ def _renewed(
     twin: Twin, at: Linearisation, best: Refit, leading: Sequence[str], since_s: float | None
 ) -> tuple[list[Ranked], Linearisation, dict[str, Array]]:
     """Ranking along the trajectory with the best law inside: all forms compete to explain what it explains."""
-    known = len(twin.parameters)
     signals = signals_of(best.twin, best.fit.lanes())
-    fixed = cast(Twin, WithSignals(twin, signals))
-    start = replace(best.fit, parameters=best.fit.parameters[:known])
-    here = Linearisation(fixed, at.whitening, start, None, at.nuisance_response)
-    lanes = start.lanes()
-    responses = Responses(here, lanes)
-    for name, signal in signals.items():
-        index = next(i for i, p in enumerate(twin.points) if p.name == name)
-        responses.add_to_residual(responses.signals(index, signal[None])[0])
+    responses = _free_of(twin, at, signals, best.fit, tuple(signals))
     variables = {**best.twin.variables(best.fit.lanes()), "time_s": twin.time_s}
-    return rank(twin, responses, variables, leading, since_s=since_s), here, variables
+    return rank(twin, responses, variables, leading, since_s=since_s), responses.at, variables
+
+
+def _free_of(
+    twin: Twin, at: Linearisation, signals: Mapping[str, Array], fit: Fit, points: Sequence[str]
+) -> Responses:
+    """Responses with a law's signals held, about its fit; those at some points have to be explained anew."""
+    fixed = cast(Twin, WithSignals(twin, signals))
+    start = replace(fit, parameters=fit.parameters[: len(twin.parameters)])
+    responses = Responses(Linearisation(fixed, at.whitening, start, None, at.nuisance_response), start.lanes())
+    for name in points:
+        responses.add_to_residual(responses.signals(point_index(twin.points, name), signals[name][None])[0])
+    return responses
 
 
 def _report(
@@ -276,7 +280,7 @@ def _report(
     variables = {**law.variables(lanes), "time_s": twin.time_s}
     forms = _probable(best, refits[1:])
     std = float(np.hypot(std, coefficient * spread_over_forms(law, lin.fit, forms, variables)))
-    point = next(p for p in twin.points if p.name == form.point)
+    point = twin.points[point_index(twin.points, form.point)]
     rivals = tuple(
         Rival(r.ranked.site, abs(best.score - r.score))
         for r in refits[1:]
@@ -324,15 +328,9 @@ def _curve(
 ) -> Curve:  # fmt: skip
     """The law over its argument beside what the recording says bin by bin, free of it."""
     name = law.laws[0].form.point
-    index = next(i for i, p in enumerate(twin.points) if p.name == name)
     signals = signals_of(law, lin.fit.lanes())
-    signal = signals[name]
-    fixed = cast(Twin, WithSignals(twin, signals))
-    start = replace(lin.fit, parameters=lin.fit.parameters[: len(twin.parameters)])
-    here = Linearisation(fixed, at.whitening, start, None, at.nuisance_response)
-    responses = Responses(here, start.lanes())
-    responses.add_to_residual(responses.signals(index, signal[None])[0])
-    return law_curve(variables[argument], signal, spread, responses.point(index))
+    responses = _free_of(twin, at, signals, lin.fit, (name,))
+    return law_curve(variables[argument], signals[name], spread, responses.point(point_index(twin.points, name)))
 
 
 __all__ = ["Law", "LawSearch", "Rival", "law_text"]

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from dieseltwin.discovery.laws.grammar import Factor, Form
 from dieseltwin.discovery.laws.search import Law
+from dieseltwin.discovery.laws.twin import point_index
 from dieseltwin.discovery.twins.diesel_points import LAW_KINDS, LAW_SCOPE
 from dieseltwin.discovery.twins.interface import Point
 from dieseltwin.engine.effects import EFFECTS, GAS_LAG
@@ -50,7 +51,7 @@ def _terms_of(law: Law, points: Sequence[Point]) -> tuple[OneTerm, ...]:
             powers, own = _written(factor)
             factors += powers
             groups += own
-        point = next(p for p in points if p.name == placed.form.point)
+        point = points[point_index(points, placed.form.point)]
         try:
             term = LawTerm(
                 point=point.name, coefficient=placed.coefficient, unit=point.unit, factors=tuple(factors),

@@ -9,7 +9,7 @@ simulation, never on derivatives.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -21,8 +21,10 @@ from dieseltwin.discovery.twins.interface import (
     Array,
     Lanes,
     Parameter,
+    Point,
     Twin,
     TwinDefaults,
+    joined,
     lane_of,
     law_scope_of,
     some_lanes,
@@ -182,7 +184,7 @@ class LawTwin(TwinDefaults):
         for _ in range(_PICARD_ROUNDS):
             check_time()
             now = signals[:, moving]
-            readings[moving], seen = trajectories(self.base, some_lanes(base, moving), self._entered(now))
+            readings[moving], seen = trajectories(self.base, some_lanes(base, moving), self.entered(now))
             new = np.empty_like(now)
             for place, (b, own) in enumerate(zip(moving, seen, strict=True)):
                 variables[b] = own
@@ -203,8 +205,8 @@ class LawTwin(TwinDefaults):
             last, moving = (now[:, changes], new[:, changes]), moving[changes]
         return signals, readings, variables
 
-    def _entered(self, signals: Array) -> dict[str, Array]:
-        """Point -> total of the laws' signals there, (B, n)."""
+    def entered(self, signals: Iterable[Array]) -> dict[str, Array]:
+        """Point -> total of what the laws add there, in the shape of a law's signal."""
         total: dict[str, Array] = {}
         for law, signal in zip(self.laws, signals, strict=True):
             total[law.form.point] = total.get(law.form.point, 0.0) + signal
@@ -237,6 +239,11 @@ def _accelerated(x_0: Array, f_0: Array, x_1: Array, f_1: Array) -> Array:
     return f_1 - np.clip(share, *_SHARES)[..., None] * (f_1 - f_0)
 
 
+def point_index(points: Sequence[Point], name: str) -> int:
+    """Index of the insertion point of that name; there must be one."""
+    return next(i for i, point in enumerate(points) if point.name == name)
+
+
 def before(variables: Mapping[str, Array], point: str) -> Mapping[str, Array]:
     """Variables where the point's own quantity is as the twin computes it before a signal enters, if the twin says."""
     own = variables.get(f"{point}:before")
@@ -252,16 +259,13 @@ def trajectories(twin: Twin, lanes: Lanes, signals: Mapping[str, Array]) -> tupl
         return twin.trajectories(lanes)  # type: ignore[no-any-return]
     if len(signals) == 1 and lanes.lane_points is None and hasattr(twin, "trajectories"):
         (name, signal), = signals.items()
-        index = next(i for i, p in enumerate(twin.points) if p.name == name)
-        entered = replace(lanes, lane_points=np.full(lanes.size, index), lane_signals=np.ascontiguousarray(signal))
+        entered = replace(lanes, lane_points=np.full(lanes.size, point_index(twin.points, name)),
+                          lane_signals=np.ascontiguousarray(signal))
         return twin.trajectories(entered)  # type: ignore[no-any-return]
     readings, variables = [], []
     for b in range(lanes.size):
         lane = lane_of(lanes, b)
-        total = dict(lane.signals)
-        for name, signal in signals.items():
-            total[name] = total.get(name, 0.0) + signal[b]
-        lane = replace(lane, signals=total)
+        lane = replace(lane, signals=joined(lane.signals, {name: signal[b] for name, signal in signals.items()}))
         readings.append(twin.simulate(lane)[0])
         variables.append(twin.variables(lane))
     return np.stack(readings), variables
