@@ -6,12 +6,13 @@ A fault of a sensor changes its own reading and nothing else, so it acts on what
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from dieseltwin.discovery.laws.features import FaultKind
 from dieseltwin.discovery.laws.shapes import lagged
+from dieseltwin.discovery.laws.twin import of_base
 from dieseltwin.discovery.twins.interface import Array, Lanes, Parameter, Twin
 
 LOOSE_GAIN = 1.0  # prior standard deviation of a gain; of an offset relative to the channel's mean: says nothing
@@ -49,7 +50,7 @@ class ReadingFault:
 
 
 class ReadingTwin:
-    """A twin with faults of readings; satisfies `dieseltwin.discovery.twins.interface.Twin`.
+    """A twin with faults of readings; satisfies `dieseltwin.discovery.twins.interface.Twin`, most of it by the base's.
 
     Args:
         base: the twin without them.
@@ -67,25 +68,16 @@ class ReadingTwin:
             unit = {"gain": "-", "lag": "s"}.get(fault.kind, "")
             extra.append(Parameter(f"fault_{k + 1}", 0.0, loose, unit, scale))
         self.parameters = (*base.parameters, *extra)
-        self.channels, self.states, self.state_scales = base.channels, base.states, base.state_scales
-        self.points, self.hypotheses, self.time_s = base.points, base.hypotheses, base.time_s
-        self.starts, self.measured, self.conditions = base.starts, base.measured, base.conditions
 
     def __getattr__(self, name: str) -> object:
         return getattr(self.base, name)
 
-    def first_local(self) -> Array:
-        """As the base's."""
-        return self.base.first_local()
-
-    def _base_lanes(self, lanes: Lanes) -> Lanes:
-        return replace(lanes, parameters=lanes.parameters[:, : len(self.base.parameters)])
-
     def simulate(self, lanes: Lanes) -> Array:
         """Readings without noise, (B, n, C)."""
-        out = np.array(self.base.simulate(self._base_lanes(lanes)), dtype=np.float64)
+        out = np.array(self.base.simulate(of_base(lanes, self.base)), dtype=np.float64)
+        time_s = self.base.time_s
         sizes = lanes.parameters[:, len(self.base.parameters) :]
-        firsts = [0 if f.since_s is None else int(np.searchsorted(self.time_s, f.since_s)) for f in self.faults]
+        firsts = [0 if f.since_s is None else int(np.searchsorted(time_s, f.since_s)) for f in self.faults]
         for kind in ("lag", "gain", "offset"):
             for k, (fault, at) in enumerate(zip(self.faults, self._at, strict=True)):
                 if fault.kind != kind:
@@ -94,7 +86,7 @@ class ReadingTwin:
                 if kind == "lag":
                     for lane, size in zip(out, sizes[:, k], strict=True):
                         if size > 0.0:
-                            lane[rows, at] = lagged(np.nan_to_num(lane[rows, at]), self.time_s[rows], float(size))
+                            lane[rows, at] = lagged(np.nan_to_num(lane[rows, at]), time_s[rows], float(size))
                 elif kind == "gain":
                     out[:, rows, at] *= 1.0 + sizes[:, k, None]
                 else:
@@ -103,7 +95,7 @@ class ReadingTwin:
 
     def variables(self, lanes: Lanes) -> dict[str, Array]:
         """Along the trajectory of lane 0; a fault of a reading doesn't touch them."""
-        return self.base.variables(self._base_lanes(lanes))
+        return self.base.variables(of_base(lanes, self.base))
 
 
 __all__ = ["ReadingFault", "ReadingTwin"]

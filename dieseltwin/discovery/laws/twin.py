@@ -113,9 +113,6 @@ class LawTwin(TwinDefaults):
             out.append((coefficient, shape))
         return out
 
-    def _base_lanes(self, lanes: Lanes) -> Lanes:
-        return replace(lanes, parameters=lanes.parameters[:, : len(self.base.parameters)])
-
     def _commanded(self, lanes: Lanes) -> Lanes:
         """Lanes of the base with the operators on the commands."""
         magnitudes, schedules = dict(lanes.magnitudes), dict(lanes.schedules)
@@ -124,12 +121,12 @@ class LawTwin(TwinDefaults):
             magnitudes[name] = magnitudes.get(name, 0.0) + np.maximum(size, 0.0)
             if law.form.since_s is not None:
                 schedules[name] = (self.time_s >= law.form.since_s).astype(np.float64)
-        return replace(self._base_lanes(lanes), magnitudes=magnitudes, schedules=schedules)
+        return replace(of_base(lanes, self.base), magnitudes=magnitudes, schedules=schedules)
 
     def simulate(self, lanes: Lanes) -> Array:
         """Readings without noise, (B, n, C)."""
         if self._instant:
-            return self.base.simulate_with_laws(self._base_lanes(lanes), self._terms(lanes.parameters))  # type: ignore[attr-defined]
+            return self.base.simulate_with_laws(of_base(lanes, self.base), self._terms(lanes.parameters))  # type: ignore[attr-defined]
         if self._commands:
             return self.base.simulate(self._commanded(lanes))
         return self._settle(lanes)[0]
@@ -138,7 +135,7 @@ class LawTwin(TwinDefaults):
         """Along the trajectory of lane 0."""
         lane = lane_of(lanes, 0)
         if self._instant:
-            return self.base.variables(self._base_lanes(lane), self._terms(lane.parameters))  # type: ignore[call-arg]
+            return self.base.variables(of_base(lane, self.base), self._terms(lane.parameters))  # type: ignore[call-arg]
         if self._commands:
             return self.base.variables(self._commanded(lane))
         return self._settle(lane)[1][0]
@@ -172,7 +169,7 @@ class LawTwin(TwinDefaults):
     ) -> tuple[Array, Array, list[dict[str, Array]]]:
         """Signals (L, B, n), readings (B, n, C) and variables of all lanes; a round is one simulation of those whose
         signals still change: relative to their size and, of lanes `beside` a settled one, to their first change."""
-        base, values = self._base_lanes(lanes), self.values(lanes.parameters)
+        base, values = of_base(lanes, self.base), self.values(lanes.parameters)
         signals = np.zeros((len(self.laws), lanes.size, len(self.time_s)))
         if self._settled is not None:
             signals[:] = self._settled[:, None]
@@ -215,7 +212,7 @@ class LawTwin(TwinDefaults):
     def signals(self, lanes: Lanes) -> list[Array]:
         """What each law adds at its point along the trajectory of lane 0, (n,) each."""
         if self._commands:
-            plain = self.base.variables(lane_of(self._base_lanes(lanes), 0))
+            plain = self.base.variables(lane_of(of_base(lanes, self.base), 0))
             moved = self.variables(lanes)
             return [moved[law.form.point] - plain[law.form.point] for law in self.laws]
         variables: Mapping[str, Array] = {**self.variables(lanes), "time_s": self.time_s}
@@ -237,6 +234,11 @@ def _accelerated(x_0: Array, f_0: Array, x_1: Array, f_1: Array) -> Array:
     change = (f_1 - x_1) - (f_0 - x_0)
     share = ((f_1 - x_1) * change).sum(axis=-1) / np.maximum((change**2).sum(axis=-1), _LEAST_CHANGE)
     return f_1 - np.clip(share, *_SHARES)[..., None] * (f_1 - f_0)
+
+
+def of_base(lanes: Lanes, base: Twin) -> Lanes:
+    """Lanes of a twin with further parameters behind those of its base, as the base takes them."""
+    return replace(lanes, parameters=lanes.parameters[:, : len(base.parameters)])
 
 
 def point_index(points: Sequence[Point], name: str) -> int:
