@@ -90,7 +90,9 @@ def try_pairs(found: Search, first: Linearisation) -> None:
             if key not in known:
                 pairs[key] = (by_name[key[0]], by_name[key[1]])
     # what joins the best single starts from its fit: from the health-only fit a chord may find no step down at all
-    fits = _joined(found, found.singles[0], seconds)
+    fits: list[Fit] = []
+    if seconds:
+        fits = _joined(Linearisation(found.twin, found.whitening, found.singles[0], found.null), seconds)
     if pairs:
         responses = [np.stack([a.response, b.response]) for a, b in pairs.values()]
         fits += refit_all(found.null, [Candidate(key) for key in pairs], responses)
@@ -98,12 +100,9 @@ def try_pairs(found: Search, first: Linearisation) -> None:
         found.pairs = polish(found, sorted(fits, key=lambda fit: fit.objective), 3)
 
 
-def _joined(found: Search, lead: Fit, seconds: Sequence[Scored]) -> list[Fit]:
+def _joined(base: Linearisation, seconds: Sequence[Scored]) -> list[Fit]:
     """Refits of a single effect with each of some others, from its own fit on."""
-    if not seconds:
-        return []
-    base = Linearisation(found.twin, found.whitening, lead, found.null)
-    candidates = [Candidate((*lead.candidate.names, item.name)) for item in seconds]
+    candidates = [Candidate((*base.fit.candidate.names, item.name)) for item in seconds]
     return refit_all(base, candidates, [np.stack([base.jacobian[-1], item.response]) for item in seconds])
 
 
@@ -123,8 +122,7 @@ def try_more_pairs(found: Search) -> bool:
         if not seconds:
             continue
         known |= {tuple(sorted((name, item.name))) for item in seconds}
-        candidates = [Candidate((name, item.name)) for item in seconds]
-        fits += refit_all(base, candidates, [np.stack([base.jacobian[-1], item.response]) for item in seconds])
+        fits += _joined(base, seconds)
     if not fits:
         return False
     found.pairs = polish(found, sorted([*found.pairs, *fits], key=lambda fit: fit.objective), 3)

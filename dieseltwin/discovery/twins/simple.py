@@ -17,7 +17,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dieseltwin.discovery.twins import pieces
-from dieseltwin.discovery.twins.interface import Array, Hypothesis, Lanes, LawScope, Parameter, Point, TwinDefaults
+from dieseltwin.discovery.twins.interface import (
+    Array,
+    Hypothesis,
+    Lanes,
+    LawScope,
+    Parameter,
+    Point,
+    TwinDefaults,
+    lane_of,
+)
 from dieseltwin.errors import InputError
 from dieseltwin.recordings.noise import Noise, estimate_noise
 
@@ -190,16 +199,8 @@ class SimpleTwin(TwinDefaults):
 
     def variables(self, lanes: Lanes, laws: Mapping[str, list[LawTerm]] | None = None) -> dict[str, Array]:
         """Every state, input, parameter-free quantity and reading along lane 0: name -> (n,)."""
-        lane = replace(
-            lanes,
-            parameters=lanes.parameters[:1],
-            local=lanes.local[:1],
-            magnitudes={name: m[:1] for name, m in lanes.magnitudes.items()},
-            lane_points=None if lanes.lane_points is None else lanes.lane_points[:1],
-            lane_signals=None if lanes.lane_signals is None else lanes.lane_signals[:1],
-        )
-        trajectory = self._trajectory(lane, laws or {})
-        _, noted = self._read(lane, laws or {}, trajectory)
+        lane, laws = lane_of(lanes, 0), laws or {}
+        _, noted = self._read(lane, laws, self._trajectory(lane, laws))
         rows = self._rows.T[self._inside]
         out: dict[str, Array] = {}
         for name, value in noted.items():
