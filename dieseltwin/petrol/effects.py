@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dieseltwin.discovery.twins.interface import Hypothesis
+from dieseltwin.discovery.twins.windows import ends_of, window_of_rows
 from dieseltwin.petrol.components import signed_leak
 from dieseltwin.petrol.recording import Signals, gaps
 
@@ -23,9 +24,8 @@ Undo = Callable[[Signals, "Array | float"], Signals]
 
 def later(time_s: Array, values: Array, delay_s: Array | float) -> Array:
     """A channel (n,) as it is read `delay_s` [s] later, linear between its rows; no piece between gaps sees another."""
-    starts = gaps(time_s)
-    piece = np.searchsorted(starts, np.arange(len(time_s)), side="right") - 1
-    ends = np.append(starts[1:], len(time_s)) - 1
+    starts, n = gaps(time_s), len(time_s)
+    piece, ends = window_of_rows(starts, n), ends_of(starts, n) - 1
     return np.interp(np.clip(time_s - delay_s, time_s[starts][piece], time_s[ends][piece]), time_s, values)
 
 

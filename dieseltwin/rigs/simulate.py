@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 
 from dieseltwin.discovery.twins.interface import Array, Lanes, single
+from dieseltwin.discovery.twins.windows import ends_of, window_of_rows
 from dieseltwin.errors import InputError
 from dieseltwin.rigs.parameters import RigParameters
 from dieseltwin.rigs.recording import RigRecording
@@ -73,8 +74,8 @@ def run_error(rig: RigParameters, recording: RigRecording) -> Array:
 
 def _within(twin: RigTwin) -> Array:
     """Number of each sample in its run, (n,)."""
-    rows = np.arange(len(twin.time_s))
-    return np.asarray(rows - twin.starts[np.searchsorted(twin.starts, rows, side="right") - 1])
+    n = len(twin.time_s)
+    return np.asarray(np.arange(n) - twin.starts[window_of_rows(twin.starts, n)])
 
 
 def first_states(twin: RigTwin, parameters: Array, first_rows: int | None = None) -> Array:
@@ -98,7 +99,7 @@ def first_states(twin: RigTwin, parameters: Array, first_rows: int | None = None
 
 
 def _fitted_states(twin: RigTwin, parameters: Array, weights: Array, first: Array) -> Array:
-    local, ends = first.copy(), np.append(twin.starts[1:], len(twin.time_s))
+    local, ends = first.copy(), ends_of(twin.starts, len(twin.time_s))
     best, cost, step = first.copy(), np.full(len(ends), np.inf), np.ones(len(ends))
     for _ in range(_ROUNDS):
         simulated = twin.simulate(_moved(twin, parameters, local))

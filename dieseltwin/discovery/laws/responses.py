@@ -15,6 +15,7 @@ from scipy.linalg import cholesky
 
 from dieseltwin.discovery.likelihood.fit import Linearisation
 from dieseltwin.discovery.twins.interface import Array, Lanes, repeated
+from dieseltwin.discovery.twins.windows import ends_of, window_of_rows
 
 _IMPULSE = 1e-3  # of a point's scale
 _MOST_KNOTS = 32  # of a window; longer windows carry hats of several samples
@@ -72,8 +73,8 @@ class Responses:
         self.at, self.lanes = at, lanes
         twin = at.twin
         n = len(twin.time_s)
-        self._ends = np.append(twin.starts[1:], n)
-        within = np.arange(n) - twin.starts[np.searchsorted(twin.starts, np.arange(n), side="right") - 1]
+        self._ends = ends_of(twin.starts, n)
+        within = np.arange(n) - twin.starts[window_of_rows(twin.starts, n)]
         longest = int(np.max(self._ends - twin.starts))
         stride = -(-longest // _MOST_KNOTS)
         count = (longest - 1) // stride + 2

@@ -17,6 +17,7 @@ from dieseltwin.discovery.likelihood.score import Scored, best_of_each
 from dieseltwin.discovery.search.sums import Sums
 from dieseltwin.discovery.search.variants import SECOND_EDGE, Variant
 from dieseltwin.discovery.twins.interface import Array, Twin, WithCourses
+from dieseltwin.discovery.twins.windows import window_of_rows
 from dieseltwin.engine.courses import Spans, course
 
 _EDGES = 48  # that both ends of a span are looked for among; refits move them
@@ -238,7 +239,7 @@ def _growing(sums: Sums) -> list[Variant]:
     """
     twin = sums.at.twin
     n, windows = twin.time_s.size, twin.starts.size
-    group = sums.per_row(np.searchsorted(twin.starts, np.arange(n), side="right") - 1)
+    group = sums.per_row(window_of_rows(twin.starts, n))
     time_s = twin.recording_time_s - twin.recording_time_s[0]
     of_row = np.zeros(sums.rows)
     channels = sums.at.residual.shape[1]

@@ -33,6 +33,7 @@ from dieseltwin.discovery.search.state import Search, set_probabilities
 from dieseltwin.discovery.search.sums import LEAST_SHARE
 from dieseltwin.discovery.search.variants import SECOND_EDGE, Variant
 from dieseltwin.discovery.twins.interface import Array, Lanes, Twin, WithCourses, rows_of
+from dieseltwin.discovery.twins.windows import window_of_rows
 from dieseltwin.recordings.noise import estimate_noise
 from dieseltwin.settings.search import SearchSettings
 
@@ -185,7 +186,7 @@ def _same(first: Parts, second: Parts) -> bool:
 
 def _beside_edges(twin: Twin, inside: np.ndarray) -> np.ndarray:
     """(n,) rows of the windows at either side of an edge of a span."""
-    of_row = np.searchsorted(twin.starts, np.arange(inside.size), side="right") - 1
+    of_row = window_of_rows(twin.starts, inside.size)
     edges = np.flatnonzero(np.diff(inside.astype(np.int64))) + 1
     return np.isin(of_row, [of_row[edge] + k for edge in edges for k in (-1, 0, 1)])
 

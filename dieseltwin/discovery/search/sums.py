@@ -15,6 +15,7 @@ from dieseltwin.discovery.laws.features import Structure
 from dieseltwin.discovery.likelihood.fit import Linearisation
 from dieseltwin.discovery.likelihood.score import Scored
 from dieseltwin.discovery.twins.interface import Array
+from dieseltwin.discovery.twins.windows import window_of_rows
 
 LEAST_SHARE = 0.08  # of the samples that a variant must act on, and leave out
 
@@ -107,8 +108,8 @@ def gains_since(sums: Sums) -> Array:
     """Gains (W, H) of acting from the start of each window on, 0 too near to either end."""
     twin = sums.at.twin
     n, W = twin.time_s.size, twin.starts.size
-    of_sample = np.searchsorted(twin.starts, np.arange(n), side="right") - 1
-    squares, pushes, inner = (np.cumsum(part[::-1], axis=0)[::-1] for part in sums.of(sums.per_row(of_sample), W))
+    group = sums.per_row(window_of_rows(twin.starts, n))
+    squares, pushes, inner = (np.cumsum(part[::-1], axis=0)[::-1] for part in sums.of(group, W))
     gains = sums.gains(squares, pushes, inner)
     allowed = (twin.starts > sums.least_share * n) & (twin.starts < (1.0 - sums.least_share) * n)
     gains[~allowed] = 0.0

@@ -24,7 +24,7 @@ from dieseltwin.discovery.twins.diesel_responses import near, sooner
 from dieseltwin.discovery.twins.diesel_steps import LATE, step_lengths, stiffness
 from dieseltwin.discovery.twins.diesel_variables import variables_along
 from dieseltwin.discovery.twins.interface import Array, Hypothesis, Lanes, Parameter, Point, joined, lane_of
-from dieseltwin.discovery.twins.windows import smoothed_at, speed_span, windows_of, without_gaps
+from dieseltwin.discovery.twins.windows import ends_of, smoothed_at, speed_span, windows_of, without_gaps
 from dieseltwin.engine import HEALTH, HEALTH_UNITS, MEASURED, Actuation, EngineParameters, Inputs
 from dieseltwin.engine.actuation import actuate_lanes
 from dieseltwin.engine.effects import EFFECTS, GAS_LAG
@@ -210,7 +210,7 @@ class EngineTwin:
         Args:
             windows: (W,) True where to cut; parts: number of parts; local: (W, 1) initial states so far.
         """
-        ends = np.append(self.starts[1:], self.time_s.size)
+        ends = ends_of(self.starts, self.time_s.size)
         starts = [
             np.linspace(a, b, parts + 1)[:-1].astype(np.int64) if cut and b - a >= 6 * parts else np.array([a])
             for a, b, cut in zip(self.starts, ends, windows, strict=True)

@@ -17,6 +17,16 @@ _UNSEEN_SPEED_SPAN = 0.4
 _SMOOTHED = 7  # samples about a window's start for the first guess of its states
 
 
+def window_of_rows(starts: np.ndarray, n: int) -> np.ndarray:
+    """(n,) window that each row lies in, by the windows' first rows (W,)."""
+    return np.searchsorted(starts, np.arange(n), side="right") - 1
+
+
+def ends_of(starts: np.ndarray, n: int) -> np.ndarray:
+    """(W,) first row behind each window of n rows."""
+    return np.append(starts[1:], n)
+
+
 def windows_of(recording: Recording, window_s: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Rows of all pieces one after another, first sample of every window, first sample of every piece."""
     rows: list[np.ndarray] = []
