@@ -39,6 +39,10 @@ class ReadingFault:
     std: float | None = None
     since_s: float | None = None
 
+    def unit(self, of_channel: str) -> str:
+        """Unit of the size."""
+        return {"gain": "-", "lag": "s"}.get(self.kind, of_channel)
+
     def text(self, unit: str = "") -> str:
         """For people."""
         spread = "" if self.std is None else f" +- {self.std:.2g}"
@@ -65,8 +69,7 @@ class ReadingTwin:
         for k, (fault, at) in enumerate(zip(self.faults, self._at, strict=True)):
             size = float(mean[at]) if fault.kind == "offset" else 1.0
             loose, scale = (_LOOSE_LAG_S, _SCALE_LAG_S) if fault.kind == "lag" else (LOOSE_GAIN * size, _SCALE * size)
-            unit = {"gain": "-", "lag": "s"}.get(fault.kind, "")
-            extra.append(Parameter(f"fault_{k + 1}", 0.0, loose, unit, scale))
+            extra.append(Parameter(f"fault_{k + 1}", 0.0, loose, fault.unit(""), scale))
         self.parameters = (*base.parameters, *extra)
 
     def __getattr__(self, name: str) -> object:

@@ -25,13 +25,13 @@ from dieseltwin.discovery.laws.twin import LawTwin, Placed, point_index
 from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, fit_fully
 from dieseltwin.discovery.twins.interface import ONSET_REACHES_S, Array, Twin, WithSignals, times_about
 
-_RIVALS = 9.0  # 2 delta log-likelihood within which two laws can't be told apart (docs/discovery.md)
+RIVALS = 9.0  # 2 delta log-likelihood within which two laws can't be told apart (docs/discovery.md)
 _ALIKE_SHARE = 0.005  # of the gain: what maps that are off a little can add to a form that follows them
 _FINAL_ROUNDS = 8
 _OF_SUMS = 3  # of the best, whose terms are refitted alone
 _REFITS = 16  # after each ranking
 _RENEWALS = 1  # linearisations with the best law inside
-_RESOLVED = 6.0  # score that a law must reach over no law
+RESOLVED = 6.0  # score that a law, or a fault of a sensor, must reach over no law
 _LEADING = 0.5  # of the best score: points whose laws reach it are ranked again with the best law inside
 
 
@@ -133,7 +133,7 @@ class LawSearch:
         if self.refits:
             simple += simpler(ranked, self.refits[0].ranked)
         self._refit(here, simple, variables)
-        if not self.refits or self.refits[0].score <= _RESOLVED:
+        if not self.refits or self.refits[0].score <= RESOLVED:
             return None
         if self.since_s is not None:
             self._date(here, variables)
@@ -192,7 +192,7 @@ def _simplest_first(refits: list[Refit]) -> list[Refit]:
     A form that follows this recording's chance, or the errors of its maps, is no better here and worse on other
     driving.
     """
-    reach = max(_RIVALS, _ALIKE_SHARE * refits[0].gain)
+    reach = max(RIVALS, _ALIKE_SHARE * refits[0].gain)
     alike = [r for r in refits if refits[0].score - r.score < reach]
     simplest = min(alike, key=lambda r: (_complexity(r), -r.score))
     return [simplest, *(r for r in refits if r is not simplest)]
@@ -284,7 +284,7 @@ def _report(
     rivals = tuple(
         Rival(r.ranked.site, abs(best.score - r.score))
         for r in refits[1:]
-        if best.score - r.score < _RIVALS
+        if best.score - r.score < RIVALS
     )
     argument = form.factors[0].variables[0] if form.factors else point.ports[0]
     last = tuple(
@@ -304,7 +304,7 @@ def _report(
 def _probable(best: Refit, others: Sequence[Refit]) -> list[tuple[float, Refit]]:
     """Refits with their probabilities over the best one's; what maps off a little can put behind counts in full."""
     behind = [max(0.0, best.score - r.score - _ALIKE_SHARE * best.gain) for r in others]
-    return [(float(np.exp(-0.5 * b)), r) for b, r in zip(behind, others, strict=True) if b < _RIVALS]
+    return [(float(np.exp(-0.5 * b)), r) for b, r in zip(behind, others, strict=True) if b < RIVALS]
 
 
 def _as_found(placed: Placed, coefficient: float, shape: float | None) -> Placed:

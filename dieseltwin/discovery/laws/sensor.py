@@ -12,7 +12,7 @@ from dieseltwin.discovery.laws.features import FaultKind, Structure
 from dieseltwin.discovery.laws.final_fit import Tolerances, about_itself
 from dieseltwin.discovery.laws.reading_twin import ReadingFault, ReadingTwin
 from dieseltwin.discovery.laws.refit import Refit
-from dieseltwin.discovery.laws.search import Law, LawSearch, Rival
+from dieseltwin.discovery.laws.search import RESOLVED, RIVALS, Law, LawSearch, Rival
 from dieseltwin.discovery.likelihood.fit import Fit, Linearisation, fit_fully
 from dieseltwin.discovery.twins.interface import ONSET_REACHES_S, Twin, law_scope_of, times_about
 
@@ -21,9 +21,7 @@ _MOST = 4
 _SCREENED = 0.3  # of the best linear gain inside the machine: points with less seldom have the law that comes first
 _LEAST_POINTS = 4  # are looked at in any case
 _ROUNDS = 8
-_RIVALS = 9.0  # 2 delta log-likelihood within which two laws can't be told apart (docs/discovery.md)
 _LAGS_S = (0.2, 1.0)  # where a lag's fit begins, too: what a long one does isn't linear
-_RESOLVED = 6.0  # score that a fault must reach over no law
 
 
 def faults_of(
@@ -90,7 +88,7 @@ class FaultFit:
         estimates = zip(self.faults, best.fit.parameters[count:], best.fit.std[count:], strict=True)
         found = tuple(replace(fault, size=float(size), std=float(std)) for fault, size, std in estimates)
         absolute = law_scope_of(twin.base).channel_units.get(name, "")
-        units = [{"gain": "-", "lag": "s"}.get(fault.kind, absolute) for fault in found]
+        units = [fault.unit(absolute) for fault in found]
         text = ", ".join(fault.text(unit) for fault, unit in zip(found, units, strict=True))
         return Law(
             f"sensor:{name}", text, cast(float, found[0].std), units[0], name, None, self.gain, self.score,
@@ -127,23 +125,23 @@ def sensor_fault(
     objective, (fault,) = best.fit.objective, fits.faults
     rivals: dict[tuple[str, str], Rival] = {}
     for other, (weaker,) in sorted(fits.tried, key=lambda item: item[0]):
-        if other - objective < _RIVALS and (weaker.channel, weaker.kind) != (fault.channel, fault.kind):
+        if other - objective < RIVALS and (weaker.channel, weaker.kind) != (fault.channel, fault.kind):
             rival = Rival(f"sensor:{weaker.channel}", other - objective)
             rivals.setdefault((weaker.kind, weaker.channel), rival)
     readings = int(at.whitening.present.sum())
     charge = float(np.log(readings) + 2.0 * np.log(2.0 * len(twin.channels)))
     found = FaultFit((fault,), best, at.fit.objective - objective, charge, tuple(rivals.values()))
-    if found.score < _RESOLVED:
+    if found.score < RESOLVED:
         return None
     both = [(fault, replace(fault, kind=kind, size=0.0)) for kind in ("gain", "offset") if kind != fault.kind]
     pairs = _Fits(twin, at)
     joined = pairs.add(both, best.fit)
     # charged as the first one, chosen among two
-    needed = float(np.log(readings) + 2.0 * np.log(2.0)) + _RESOLVED
+    needed = float(np.log(readings) + 2.0 * np.log(2.0)) + RESOLVED
     if joined is None or objective - joined.fit.objective < needed:
         return found
     gain = at.fit.objective - joined.fit.objective
-    return FaultFit(pairs.faults, joined, gain, charge + needed - _RESOLVED, found.rivals)
+    return FaultFit(pairs.faults, joined, gain, charge + needed - RESOLVED, found.rivals)
 
 
 class _Fits:
@@ -227,7 +225,7 @@ def laws_in_turn(
 def _is_ahead(refit: Refit, fault: FaultFit) -> bool:
     """Whether a law from the grammar explains more than a fault of a sensor, which is as simple as a constant."""
     bent = len(refit.ranked.placed) > 1 or any(placed.form.factors for placed in refit.ranked.placed)
-    return refit.score - fault.score >= (_RIVALS if bent else 0.0)
+    return refit.score - fault.score >= (RIVALS if bent else 0.0)
 
 
 def best_law(

@@ -44,7 +44,7 @@ from dieseltwin.engine.terms import (
     with_corrections,
 )
 from dieseltwin.errors import InputError
-from dieseltwin.learning.belief import Belief
+from dieseltwin.learning.belief import HEALTH_PRIOR, Belief
 from dieseltwin.recordings.between_rows import rows_are_slow
 from dieseltwin.recordings.channels import optional_inputs
 from dieseltwin.recordings.held import between_readings
@@ -57,9 +57,6 @@ WINDOW_S = 10.0
 
 STEP_S = 0.025
 """Integration step of the trajectory along which steps are chosen [s]."""
-
-HEALTH_PRIOR = 0.3
-"""Standard deviation of a health parameter about the engine file's value [-]."""
 
 _SPEED_SCALE = 500.0  # rad/s
 _PRESSURES_REST_S = 0.35  # after a restart; the manifolds forget a wrong start within 0.2 s
