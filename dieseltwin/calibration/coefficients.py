@@ -79,26 +79,26 @@ _SCALED = ("A_vgtmax", "W_copt", "A_egrmax")  # with the displacement
 _SLOPE = ("a_1", "a_3")  # over the flow: fall with its square, with it
 
 
-def _c(name: str, row: str, mean: float, std: float, low: float, high: float, unit: str, source: str) -> Coefficient:
-    return Coefficient(name, row, mean, std, low, high, unit, source)
-
-
 _HD = "heavy-duty practice (stated belief)"
 
 BELIEFS: tuple[Coefficient, ...] = (
-    _c("back_pressure", "turbine_flow", 1.1e5, 4e4, 0.0, 2e6, "Pa/(kg/s)^2", "10 to 25 kPa at 0.4 kg/s, " + _HD),
-    _c("air_filter_restriction", "compressor_flow", 1.8e4, 8e3, 0.0, 8e4, "Pa/(kg/s)^2",
-       "2 to 5 kPa at 0.4 kg/s, " + _HD),
-    _c("charge_cooler_loss", "cylinder_flow", 0.10, 0.05, 0.0, 0.5, "-", "effectiveness 0.85 to 0.95, " + _HD),
-    _c("cooler_approach", "cylinder_flow", 10.0, 7.0, -5.0, 40.0, "K", _HD),
-    _c("egr_heating", "cylinder_flow", 0.12, 0.06, 0.0, 0.7, "-", "EGR cooler effectiveness 0.8 to 0.95, " + _HD),
-    _c("egr_coolant", "cylinder_flow", 360.0, 6.0, 330.0, 390.0, "K", "engine coolant, " + _HD),
-    _c("volumetric_efficiency_residual", "cylinder_flow", 0.06, 0.05, -0.3, 0.5, "-", "1/(r_c - 1), clearance volume"),
-    _c("vol_heating", "cylinder_flow", 0.35, 0.12, 0.0, 0.8, "-", "charge heated by the walls: eta_vol ~ T^0.2..0.5"),
-    _c("k_cooler_dp", "compressor_flow", 1.0e5, 6e4, 0.0, 5e5, "Pa/(kg/s)^2 at 300 K and 1 bar",
-       "5 to 12 kPa at full load, " + _HD),
-    _c("work_0", "compressor_work", 1.0, 0.2, 0.4, 2.0, "-", "Euler's work at no flow over R_c^2 omega_t^2"),
-    _c("work_slope", "compressor_work", 2.0, 0.7, 0.0, 5.0, "-", "backswept blades, 30 to 40 degrees"),
+    Coefficient("back_pressure", "turbine_flow", 1.1e5, 4e4, 0.0, 2e6, "Pa/(kg/s)^2",
+                "10 to 25 kPa at 0.4 kg/s, " + _HD),
+    Coefficient("air_filter_restriction", "compressor_flow", 1.8e4, 8e3, 0.0, 8e4, "Pa/(kg/s)^2",
+                "2 to 5 kPa at 0.4 kg/s, " + _HD),
+    Coefficient("charge_cooler_loss", "cylinder_flow", 0.10, 0.05, 0.0, 0.5, "-", "effectiveness 0.85 to 0.95, " + _HD),
+    Coefficient("cooler_approach", "cylinder_flow", 10.0, 7.0, -5.0, 40.0, "K", _HD),
+    Coefficient("egr_heating", "cylinder_flow", 0.12, 0.06, 0.0, 0.7, "-",
+                "EGR cooler effectiveness 0.8 to 0.95, " + _HD),
+    Coefficient("egr_coolant", "cylinder_flow", 360.0, 6.0, 330.0, 390.0, "K", "engine coolant, " + _HD),
+    Coefficient("volumetric_efficiency_residual", "cylinder_flow", 0.06, 0.05, -0.3, 0.5, "-",
+                "1/(r_c - 1), clearance volume"),
+    Coefficient("vol_heating", "cylinder_flow", 0.35, 0.12, 0.0, 0.8, "-",
+                "charge heated by the walls: eta_vol ~ T^0.2..0.5"),
+    Coefficient("k_cooler_dp", "compressor_flow", 1.0e5, 6e4, 0.0, 5e5, "Pa/(kg/s)^2 at 300 K and 1 bar",
+                "5 to 12 kPa at full load, " + _HD),
+    Coefficient("work_0", "compressor_work", 1.0, 0.2, 0.4, 2.0, "-", "Euler's work at no flow over R_c^2 omega_t^2"),
+    Coefficient("work_slope", "compressor_work", 2.0, 0.7, 0.0, 5.0, "-", "backswept blades, 30 to 40 degrees"),
 )
 """What is believed of places that settled points don't see: effects by their names, and what is none of the catalogue.
 

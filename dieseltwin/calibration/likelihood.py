@@ -160,6 +160,15 @@ class _Linear:
     shift: Array  # (n, R) J (ln x_m - ln x^)
     jacobian: Array
     covariance: Array
+    keep: NDArray[np.bool_]  # (R,) relations that count
+
+    def shifted(self, residual: Array) -> Array:
+        """Residuals (.., n, R) as the readings themselves would have them; none where a relation doesn't count."""
+        return np.where(np.isfinite(residual) & self.keep, residual + self.shift, 0.0)
+
+    def whitened(self, residual: Array) -> Array:
+        """Residuals (n, R), whitened."""
+        return np.einsum("nij,nj->ni", self.whiten, self.shifted(residual))
 
 
 def estimate(
@@ -207,14 +216,13 @@ def estimate(
     P = len(coefficients)
     for iteration in range(iterations):
         linear = _linearised(model, points, x, measured, values, sigma, S, keep)
-        plain = _whitened_residual(model, points, x, values, linear, keep)
+        plain = linear.whitened(model.relations(points, x, values).residual[0])
         scale = np.sqrt(1.0 / np.sqrt(1.0 + (plain / ROBUST) ** 2) / inflation)  # soft_l1 by reweighting: readings
         # are robust, beliefs are not (a robust prior would let go of what it is there to hold)
 
         def whitened(columns: Mapping[str, float | Array], linear: _Linear = linear, scale: Array = scale,
                      x: Array = x) -> Array:
-            r = model.relations(points, x, {**values, **columns}).residual
-            r = np.where(np.isfinite(r) & keep, r + linear.shift, 0.0)
+            r = linear.shifted(model.relations(points, x, {**values, **columns}).residual)
             return (linear.whiten @ np.clip(r, -FAR, FAR)[..., None])[..., 0] * scale
 
         def with_slopes(z: Array, whitened=whitened) -> tuple[Array, Array]:  # type: ignore[no-untyped-def]
@@ -233,14 +241,14 @@ def estimate(
         change = float(np.max(np.abs(solution.x - z))) if P else 0.0
         theta = solution.x * std + mean
         values.update({c.name: float(t) for c, t in zip(coefficients, theta, strict=True)})
-        x = _reconciled(model, points, x, measured, values, linear, sigma, keep)
-        S = np.maximum(_discrepancy(model, points, x, values, S, keep, linear), least)
+        x = _reconciled(model, points, x, measured, values, linear, sigma)
+        S = np.maximum(_discrepancy(model, points, x, values, S, linear), least)
         if change < SETTLED and iteration >= 3:
             break
         if inflate and iteration >= 2:
-            inflation = correlation_inflation(points, _whitened_residual(model, points, x, values, linear, keep))
+            inflation = correlation_inflation(points, linear.whitened(model.relations(points, x, values).residual[0]))
     linear = _linearised(model, points, x, measured, values, sigma, S, keep)
-    residual = _whitened_residual(model, points, x, values, linear, keep)
+    residual = linear.whitened(model.relations(points, x, values).residual[0])
     # with what normalises it: a wide error of the relation would make any coefficients cheap
     robust = ROBUST**2 * float(np.sum(np.sqrt(1.0 + (residual / ROBUST) ** 2) - 1.0))
     normaliser = float(np.sum(np.log(np.einsum("nii->ni", linear.whiten))))
@@ -261,13 +269,12 @@ def _linearised(model: SteadyModel, points: SteadyPoints, x: Array, measured: Ar
     extra = np.array([name in ("T_im", "T_c", "p_es", "p_bc") for name in model.rows])
     C = C + np.diag(np.where(extra, 0.01**2, 0.0))
     whiten = np.linalg.inv(np.linalg.cholesky(C))
-    return _Linear(whiten, np.einsum("nij,nj->ni", J, dx), J, C)
+    return _Linear(whiten, np.einsum("nij,nj->ni", J, dx), J, C, keep)
 
 
 def _reconciled(model: SteadyModel, points: SteadyPoints, x: Array, measured: Array, values: Mapping[str, float],
-                linear: _Linear, sigma: Array, keep: NDArray[np.bool_]) -> Array:  # fmt: skip
-    r = model.relations(points, x, values).residual[0]
-    r = np.where(np.isfinite(r) & keep, r + linear.shift, 0.0)
+                linear: _Linear, sigma: Array) -> Array:  # fmt: skip
+    r = linear.shifted(model.relations(points, x, values).residual[0])
     weighted = np.linalg.solve(linear.covariance, r[..., None])[..., 0]
     known = np.isfinite(measured)
     variance = np.where(known, sigma**2, UNKNOWN**2)
@@ -276,21 +283,14 @@ def _reconciled(model: SteadyModel, points: SteadyPoints, x: Array, measured: Ar
     return np.exp(np.log(x) + np.clip(target - np.log(x), -LARGEST_SHIFT, LARGEST_SHIFT))
 
 
-def _whitened_residual(model: SteadyModel, points: SteadyPoints, x: Array, values: Mapping[str, float],
-                       linear: _Linear, keep: NDArray[np.bool_]) -> Array:  # fmt: skip
-    r = model.relations(points, x, values).residual[0]
-    r = np.where(np.isfinite(r) & keep, r + linear.shift, 0.0)
-    return np.einsum("nij,nj->ni", linear.whiten, r)
-
-
 def _discrepancy(model: SteadyModel, points: SteadyPoints, x: Array, values: Mapping[str, float], S: Array,
-                 keep: NDArray[np.bool_], linear: _Linear) -> Array:  # fmt: skip
+                 linear: _Linear) -> Array:  # fmt: skip
     """The error of each relation itself: the reconciled residual's spread, its own share of it undone."""
     r = model.relations(points, x, values).residual[0]
     spread = 1.4826 * np.nanmedian(np.abs(r), axis=0)
     share = np.median(np.einsum("nii->ni", np.linalg.inv(linear.covariance)), axis=0) * S**2  # of S in the total, 0..1
     fresh = np.clip(spread / np.sqrt(np.clip(share, 0.05, 1.0)), FLOOR, 0.3)
-    return np.where(keep, np.sqrt(0.5 * S**2 + 0.5 * fresh**2), S)
+    return np.where(linear.keep, np.sqrt(0.5 * S**2 + 0.5 * fresh**2), S)
 
 
 def correlation_inflation(points: SteadyPoints, residual: Array) -> float:
