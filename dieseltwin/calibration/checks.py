@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from dieseltwin.engine.cylinder import fuel_flow
 from dieseltwin.errors import InputError
 from dieseltwin.recordings.channels import INPUTS
+from dieseltwin.recordings.guess.physics import ranks_agree
 from dieseltwin.recordings.ranks import ranks
 from dieseltwin.recordings.steady_points import STATES, SteadyPoints, once_each
 
@@ -96,7 +97,7 @@ def _swapped(points: SteadyPoints, where: str, cylinders: int) -> None:
                          "are the two columns swapped?")
     flow, expected = W_c, np.maximum(p_im - p_0, 0.0)
     good = np.isfinite(flow) & np.isfinite(omega) & (expected > 2e3)
-    if good.sum() > FEWEST_POINTS // 2 and _rank_correlation(omega[good], expected[good]) < 0.0:
+    if good.sum() > FEWEST_POINTS // 2 and ranks_agree(omega[good], expected[good]) < 0.0:
         raise InputError(f"{where}: column omega_t_rad_s", "a turbo that runs slower the more it boosts",
                          "speed rising with boost", "is another column under this name?")
     egr, vgt = conductances(points, cylinders)
@@ -175,8 +176,3 @@ def _explained(area: Array, u: Array) -> float:
     y = area[good]
     fit = np.polyval(np.polyfit(u[good], y, 2), u[good])
     return float(1.0 - np.var(y - fit) / np.var(y))
-
-
-def _rank_correlation(a: Array, b: Array) -> float:
-    ranks = [np.argsort(np.argsort(v)) for v in (a, b)]
-    return float(np.corrcoef(ranks[0], ranks[1])[0, 1])
