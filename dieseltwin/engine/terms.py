@@ -34,6 +34,10 @@ Power = Callable[[Array, Array], Array]
 Nozzle = Callable[[Array, Array, Array], Array]
 """`nozzle_flow_factor` of a backend."""
 
+ORIFICE_GAMMA = 1.4
+"""Ratio of specific heats in an orifice's shape; its value moves the shape by less than 2 % (air, exhaust gas)."""
+ORIFICE_CHOKING = choking_quotient(ORIFICE_GAMMA)
+
 
 class Term(Limited):
     """An effect of the catalogue in one engine."""
@@ -225,15 +229,12 @@ class LawGroup(BaseModel):
             return self._signed(x / y - 1.0, power)
         if self.kind == "share":
             return x / (x + y)
-        choked = nozzle_flow_factor(_CRITICAL, _NOZZLE_GAMMA, _CRITICAL)
-        return (nozzle(y / x, _NOZZLE_GAMMA, _CRITICAL) - nozzle(x / y, _NOZZLE_GAMMA, _CRITICAL)) / choked
+        gamma, choking = ORIFICE_GAMMA, ORIFICE_CHOKING
+        choked = nozzle_flow_factor(choking, gamma, choking)
+        return (nozzle(y / x, gamma, choking) - nozzle(x / y, gamma, choking)) / choked
 
     def _signed(self, z: Array, power: Power) -> Array:
         return z if self.exponent == 1.0 else z * power(abs(z) + 1e-12, self.exponent - 1.0)
-
-
-_NOZZLE_GAMMA = 1.4  # its value moves the shape by less than 2 % (air, exhaust gas)
-_CRITICAL = choking_quotient(_NOZZLE_GAMMA)
 
 
 class LawTerm(Limited):

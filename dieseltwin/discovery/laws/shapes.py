@@ -8,19 +8,16 @@ import numpy as np
 
 from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.engine._compiled import follow_lanes
-from dieseltwin.engine.nozzle import choking_quotient, nozzle_flow_factor
+from dieseltwin.engine.nozzle import nozzle_flow_factor
+from dieseltwin.engine.terms import ORIFICE_CHOKING, ORIFICE_GAMMA
 from dieseltwin.inner import kernel
-
-GAMMA = 1.4
-"""Ratio of specific heats in the orifice's shape; its value moves the shape by less than 2 % (air, exhaust gas)."""
-_CRITICAL = choking_quotient(GAMMA)
 
 
 def orifice(up: Any, down: Any) -> Any:
     """Flow of a compressible orifice over its choked value at the same upstream state, signed [-]."""
     high, low = np.maximum(up, down), np.minimum(up, down)
-    shape = nozzle_flow_factor(low / high, GAMMA, _CRITICAL)
-    return np.sign(up - down) * shape / nozzle_flow_factor(_CRITICAL, GAMMA, _CRITICAL)
+    shape = nozzle_flow_factor(low / high, ORIFICE_GAMMA, ORIFICE_CHOKING)
+    return np.sign(up - down) * shape / nozzle_flow_factor(ORIFICE_CHOKING, ORIFICE_GAMMA, ORIFICE_CHOKING)
 
 
 def signed_power(x: Any, exponent: Any) -> Any:
