@@ -20,15 +20,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from dieseltwin.arrays import Array
 from dieseltwin.engine import Actuation, actuate, bind, constants, parameter_batch, simulate_states, we2011
 from dieseltwin.engine.array_namespace import with_ambient_pressure, with_charge
 from dieseltwin.engine.inputs import half_step_times
 from dieseltwin.paper.datasets import benchmark_segments
-
-Array = NDArray[np.float64]
 
 REFERENCE = Path(__file__).parents[1] / "tests" / "reference" / "field_random_300s.csv"
 SEGMENT = 1

@@ -8,7 +8,8 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from dieseltwin.arrays import Array
+
 Index = NDArray[np.int_]
 
 

@@ -11,13 +11,11 @@ from collections.abc import Mapping
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dieseltwin.arrays import Array
 from dieseltwin.calibration.coefficients import BELIEFS
 from dieseltwin.calibration.relations import cooled_charge
 from dieseltwin.recordings.steady_points import SteadyPoints
-
-Array = NDArray[np.float64]
 
 FAR = 3.0  # standard deviations of a belief
 MOST = 0.1  # of the points may lie beyond

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dieseltwin.arrays import Array
 from dieseltwin.calibration.checks import Actuator, actuators, check_points, egr_shut
 from dieseltwin.calibration.coefficients import (
     BELIEFS,
@@ -28,8 +29,6 @@ from dieseltwin.notes import Note
 from dieseltwin.recordings.steady_points import JUDGED, SteadyPoints
 from dieseltwin.settings.search import PointSettings
 from dieseltwin.settings.strict import read_mapping, unknown_name
-
-Array = NDArray[np.float64]
 
 GEOMETRY = ("bore_mm", "stroke_mm", "displacement_l")
 STARTS = 3  # of every submodel, besides the base engine's values

@@ -7,16 +7,14 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dieseltwin.arrays import Array
 from dieseltwin.engine.cylinder import fuel_flow
 from dieseltwin.errors import InputError
 from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.guess.physics import ranks_agree
 from dieseltwin.recordings.ranks import ranks
 from dieseltwin.recordings.steady_points import STATES, SteadyPoints, once_each
-
-Array = NDArray[np.float64]
 
 FEWEST_POINTS = 20
 _SAME_DIGITS = 3  # of rpm, mg and %: points that agree in all of them say the same

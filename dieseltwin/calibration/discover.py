@@ -13,7 +13,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dieseltwin.calibration.believable import unbelievable
 from dieseltwin.calibration.calibrate import Calibration, Fit, counted_rows, submodel_fits
@@ -45,8 +44,6 @@ from dieseltwin.engine.terms import OneTerm, SensorTerm, Term, corrections_in, l
 from dieseltwin.recordings.steady_points import STATES
 from dieseltwin.settings.defaults import default_search
 from dieseltwin.settings.search import PointSettings, SubmodelErrors
-
-Array = NDArray[np.float64]
 
 FULL_ITERATIONS, TRAIN_ITERATIONS = 20, 4
 _SIGNIFICANT = 2.0  # standard deviations

@@ -15,16 +15,14 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from dieseltwin.arrays import Array
 from dieseltwin.calibration.likelihood import NOISE, STEEPEST
 from dieseltwin.calibration.local_errors import Foretold, LocalErrors
 from dieseltwin.calibration.outlying import FAR_OFF
 from dieseltwin.calibration.steady_model import IMPLIED, SteadyModel
 from dieseltwin.notes import Note, counted, listing
 from dieseltwin.recordings.steady_points import STATES, SteadyPoints
-
-Array = NDArray[np.float64]
 
 COLUMNS: Mapping[str, str] = {
     "p_es_pa": "p_es", "p_bc_pa": "p_bc", "t_im_k": "T_im", "t_c_k": "T_c", "t_es_k": "T_es", "eta_c": "eta_c",

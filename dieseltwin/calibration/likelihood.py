@@ -19,11 +19,10 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.special import gammaln
 
+from dieseltwin.arrays import Array
 from dieseltwin.calibration.coefficients import Coefficient
 from dieseltwin.calibration.steady_model import SteadyModel
 from dieseltwin.recordings.steady_points import STATES, SteadyPoints
-
-Array = NDArray[np.float64]
 
 NOISE: Mapping[str, float] = {
     "p_im_pa": 0.005, "p_em_pa": 0.005, "omega_t_rad_s": 0.005, "w_c_kg_s": 0.01, "w_egr_kg_s": 0.02, "t_em_k": 0.01,

@@ -15,11 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from dieseltwin.arrays import Array
 from dieseltwin.calibration.likelihood import reading_covariance, reading_noise
 from dieseltwin.calibration.steady_model import MAP_MODE, SENSOR_ERROR, SteadyModel
 from dieseltwin.recordings.steady_points import SteadyPoints
-
-Array = NDArray[np.float64]
 
 MOST_POINTS = 200  # that are kept: more tell little of a smooth function, and cost their third power
 FAR, CLIP = 1.0, 0.5  # residuals beyond the first are left out, beyond the second cut

@@ -9,14 +9,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dieseltwin.arrays import Array
 from dieseltwin.calibration.likelihood import FLOOR, balance_deviation, reading_noise
 from dieseltwin.calibration.steady_model import SteadyModel
 from dieseltwin.notes import Note, listing
 from dieseltwin.recordings.steady_points import JUDGED, LEAST, STATES, SteadyPoints
-
-Array = NDArray[np.float64]
 
 FAR_OFF = 15.0  # deviations of a balance; 145 points of an engine whose flap the model lacks come to 10
 FEW = 0.05  # of the points: where more of them are far off it is no slip of single readings

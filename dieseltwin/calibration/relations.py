@@ -8,9 +8,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from dieseltwin.arrays import Array
 
 SMALL_FLOW = 0.05  # of the median flow: relative residuals are damped below
 

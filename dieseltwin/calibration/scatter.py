@@ -12,15 +12,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
+from dieseltwin.arrays import Array
 from dieseltwin.calibration.likelihood import log_student, reading_covariance, reading_noise
 from dieseltwin.calibration.steady_model import ROWS, SteadyModel
 from dieseltwin.recordings.steady_points import SteadyPoints
 from dieseltwin.settings.search import SubmodelErrors
-
-Array = NDArray[np.float64]
 
 NEIGHBOURS: Mapping[str, str] = {"p_es": "turbine_flow", "p_bc": "compressor_flow", "T_im": "cylinder_flow"}
 """Quantity of a place that nobody measured -> the balance that it moves most."""

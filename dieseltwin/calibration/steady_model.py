@@ -12,8 +12,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dieseltwin.arrays import Array
 from dieseltwin.calibration.coefficients import FLAP_COEFFICIENTS, WEAR
 from dieseltwin.calibration.relations import Relations, cooled_charge, log_ratio, spread
 from dieseltwin.engine.binding import bind
@@ -32,8 +32,6 @@ from dieseltwin.engine.terms import (
     sensor_slot,
 )
 from dieseltwin.recordings.steady_points import JUDGED, LEAST, STATES, SteadyPoints
-
-Array = NDArray[np.float64]
 
 ROWS = ("cylinder_flow", "turbine_flow", "turbo_power", "compressor_flow", "egr_flow", "exhaust_temperature")
 """Submodels that every set of points has, one relation each."""

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from dieseltwin.arrays import Array
 from dieseltwin.atomic import atomic_folder
 from dieseltwin.codegen.transpile import number
 from dieseltwin.engine.binding import Model, bind
@@ -18,7 +18,6 @@ from dieseltwin.engine.model_constants import Constants
 from dieseltwin.engine.parameters import EngineParameters, constants
 from dieseltwin.engine.terms import corrections_in
 
-Array = NDArray[np.float64]
 NODES = 33
 """Evenly spaced nodes of an argument; where a formula has a kink over it, there is one more."""
 

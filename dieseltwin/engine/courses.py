@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from dieseltwin.arrays import Array
+
 Spans = tuple[tuple[float, float], ...]
 """Parts of the time, from the first to before the second of each [s], in order."""
 _LEAST_S = 1.0  # that growing takes

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from dieseltwin.arrays import Array
 from dieseltwin.engine import HEALTH, EngineParameters, actuate, bind, constants, parameter_batch, settle
 from dieseltwin.errors import InputError
 from dieseltwin.identification.identify import identify_segments
@@ -24,8 +24,6 @@ from dieseltwin.settings.discovery import AcceptanceConfig
 from dieseltwin.settings.params import IdentifyConfig
 from dieseltwin.surrogates.empirical import EmpiricalMaps, map_arguments
 from dieseltwin.surrogates.map_simulator import MapFunctions, Point, numpy_simulator, rest
-
-Array = NDArray[np.float64]
 
 POINTS: tuple[Point, ...] = tuple(
     (n_e, *load)

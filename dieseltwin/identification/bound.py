@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from dieseltwin.arrays import Array
 from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.shooting import (
     N_HEALTH,
@@ -19,8 +20,6 @@ from dieseltwin.identification.shooting import (
     sample_states,
 )
 from dieseltwin.least_squares import covariance
-
-Array = NDArray[np.float64]
 
 IDENTIFIABLE_BELOW = 0.25
 """The protocol's largest relative bound that counts as identifiable: a known parameter is known to a quarter."""

@@ -10,14 +10,12 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dieseltwin.arrays import Array
 from dieseltwin.engine import Inputs
 from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.shooting import Shooting, Simulator
 from dieseltwin.recordings.between_rows import BRIDGE, DIFFERENCE, NODES, rows_are_slow, unseen, with_nodes
-
-Array = NDArray[np.float64]
 
 _STEP_S = 0.025  # of integration [s]
 _FORGOTTEN_S = 20.0  # until the turbo's speed has forgotten what an input did for a moment [s]

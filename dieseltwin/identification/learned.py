@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from dieseltwin.arrays import Array
 from dieseltwin.engine import MEASURED, Actuation, Observations, ParameterBatch
 
 if TYPE_CHECKING:
     from dieseltwin.surrogates.empirical import EmpiricalMaps
 
-Array = NDArray[np.float64]
 Index = NDArray[np.int_]
 
 

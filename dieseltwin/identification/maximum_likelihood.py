@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from dieseltwin.arrays import Array
 from dieseltwin.engine.simulate import settle_first
 from dieseltwin.identification.bound import cautious_bound
 from dieseltwin.identification.input_errors import input_errors
@@ -44,7 +45,6 @@ if TYPE_CHECKING:
     from dieseltwin.settings.params import IdentifyConfig, StartConfig
     from dieseltwin.surrogates.empirical import EmpiricalMaps
 
-Array = NDArray[np.float64]
 Index = NDArray[np.int_]
 METHOD = "classical"
 

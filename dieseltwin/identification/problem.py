@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from dieseltwin.arrays import Array
 from dieseltwin.engine import MEASURED, EngineParameters, Inputs
 from dieseltwin.engine.sensor_effects import undo_sensor_terms
 from dieseltwin.errors import InputError
@@ -19,8 +20,6 @@ from dieseltwin.sensors import NEEDED, SENSORS
 
 if TYPE_CHECKING:
     from dieseltwin.recordings.reader import Recording, Segment
-
-Array = NDArray[np.float64]
 
 PAPER_NOISE: tuple[float, ...] = tuple(sensor.noise for sensor in SENSORS)
 """Relative noise of the sensors: the paper's noisy few-shot case, and of our own those that it hasn't [-]."""

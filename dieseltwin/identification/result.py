@@ -17,11 +17,10 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.special import ndtri, stdtrit
 
+from dieseltwin.arrays import Array
 from dieseltwin.engine.parameters import HEALTH, HEALTH_UNITS
 from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.states import INTERVAL, StateSamples, segment_states
-
-Array = NDArray[np.float64]
 
 SCHEMA = 1
 EPOCH = "epoch"

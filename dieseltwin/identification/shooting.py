@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from dieseltwin.arrays import Array
 from dieseltwin.engine import (
     HEALTH,
     Actuation,
@@ -22,7 +23,6 @@ from dieseltwin.identification.learned import ErrorDirections, LearnedSimulator
 from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.least_squares import Linearisation, symmetric_root
 
-Array = NDArray[np.float64]
 Index = NDArray[np.int_]
 Simulator = Callable[[Sequence[Actuation], ParameterBatch, Array, Index], Observations]
 """(actuation of each lane, B parameter sets, (B, 3) initial states, (B,) variant of the maps) -> observations."""

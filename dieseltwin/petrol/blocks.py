@@ -12,10 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dieseltwin.arrays import Array
 from dieseltwin.petrol.components import R_A, displaced_flow, nozzle_flow, storage_flow
 from dieseltwin.petrol.recording import Signals, gaps
-
-Array = NDArray[np.float64]
 
 BLOCK_S = 1.0
 EDGE_ROWS = 6  # rows averaged for a block's end pressure: the manifold pulsates by 5 % at idle

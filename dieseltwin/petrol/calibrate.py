@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from dieseltwin.arrays import Array
 from dieseltwin.errors import InputError
 from dieseltwin.petrol.blocks import BLOCK_S, Blocks, Grid, blocks_of, make_grid
 from dieseltwin.petrol.discover import judge
@@ -26,7 +27,6 @@ from dieseltwin.petrol.model import (
 from dieseltwin.petrol.parameters import FILLED, FaultFreePiece, PetrolParameters, SplineMap, Spread, Volumes
 from dieseltwin.petrol.recording import Signals
 
-Array = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
 CYLINDER_KNOTS, THROTTLE_KNOTS = (8, 11), (10, 5)

@@ -10,12 +10,10 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dieseltwin.arrays import Array
 from dieseltwin.engine import cylinder, manifolds
 from dieseltwin.engine.nozzle import choking_quotient, nozzle_flow_factor
-
-Array = NDArray[np.float64]
 
 R_A = 287.0  # J/(kg K), dry air
 GAMMA = 1.4  # of air [-]

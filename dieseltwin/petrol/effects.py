@@ -11,14 +11,13 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dieseltwin.arrays import Array
 from dieseltwin.discovery.twins.interface import Hypothesis
 from dieseltwin.discovery.twins.windows import ends_of, window_of_rows
 from dieseltwin.petrol.components import signed_leak
 from dieseltwin.petrol.recording import Signals, gaps
 
-Array = NDArray[np.float64]
 Undo = Callable[[Signals, "Array | float"], Signals]
 
 

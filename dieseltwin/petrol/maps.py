@@ -5,12 +5,11 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
+from dieseltwin.arrays import Array
 from dieseltwin.inner import kernel
 
-Array = NDArray[np.float64]
 DEGREE = 3
 FREEDOM = 4.0  # of Student's t: tip-ins and gear changes are outliers
 STRAIGHT = 1.0  # steps of the knots that a map is believed to go straight on beyond them, within what it may bend

@@ -14,12 +14,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from dieseltwin.arrays import Array
 from dieseltwin.petrol.blocks import BLOCK_S, Blocks, Grid
 from dieseltwin.petrol.maps import beyond, sum_basis, tensor_basis, tensor_value
 from dieseltwin.petrol.parameters import SplineMap, Spread
 from dieseltwin.petrol.recording import Signals
-
-Array = NDArray[np.float64]
 
 BALANCES = ("cylinder", "throttle", "boost", "cooler")
 SHUT_PCT, IDLE_RAD_S, REST_S = 4.0, 130.0, 3  # idle: throttle below, speed below, for so many blocks before

@@ -7,16 +7,15 @@ from typing import Literal
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 from pydantic import Field, NonNegativeFloat, model_validator
 
+from dieseltwin.arrays import Array
 from dieseltwin.atomic import write_text
 from dieseltwin.errors import InputError
 from dieseltwin.petrol.blocks import Geometry
 from dieseltwin.sealed import sealed_text
 from dieseltwin.settings.strict import StrictModel, read_mapping, validate, where_told
 
-Array = NDArray[np.float64]
 KIND = "petrol"
 FILLED = ("V_im", "V_ic")  # volumes whose filling is learned
 

@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from dieseltwin.arrays import Array
 from dieseltwin.errors import InputError
 from dieseltwin.notes import Note
 from dieseltwin.petrol.components import RPM
@@ -21,8 +22,6 @@ from dieseltwin.recordings.plausibility import FRACTION, as_fraction
 from dieseltwin.recordings.reader import CRANKING_RPM
 from dieseltwin.recordings.shared_rows import distinct, refuse_overlapping, share_known
 from dieseltwin.settings.strict import listed
-
-Array = NDArray[np.float64]
 
 GAP_S = 0.9  # a longer step of the time stamps ends one piece and begins another: no block is without rows then
 APART_S = 10.0  # between recordings that are pooled: a gap

@@ -17,6 +17,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from dieseltwin.arrays import Array
 from dieseltwin.engine.binding import bind
 from dieseltwin.errors import InputError
 from dieseltwin.inner import kernel
@@ -39,8 +40,6 @@ from dieseltwin.petrol.model import opening, outside
 from dieseltwin.petrol.parameters import PetrolParameters
 from dieseltwin.petrol.recording import PetrolRecording, Signals, gaps
 from dieseltwin.petrol.terms import active_sizes
-
-Array = NDArray[np.float64]
 
 SPEEDS, PRESSURES, FACTORS = 78, 192, 80  # points of the tables that the maps are looked up in
 LEAST_PRESSURE, ABOVE_P_IC = 5e3, 1.02  # Pa; largest p_im over p_ic [-]: the solution is looked for between

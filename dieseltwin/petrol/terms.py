@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dieseltwin.arrays import Array
 from dieseltwin.engine.courses import course
 from dieseltwin.petrol.effects import undo_all
 from dieseltwin.petrol.parameters import PetrolParameters
 from dieseltwin.petrol.recording import PetrolRecording, Signals
-
-Array = NDArray[np.float64]
 
 
 def active_sizes(engine: PetrolParameters, recording: PetrolRecording) -> dict[str, Array]:

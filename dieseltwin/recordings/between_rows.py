@@ -7,11 +7,9 @@ two rows, belong to the covariance of the readings (`identification.input_errors
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dieseltwin.arrays import Array
 from dieseltwin.recordings.reader import FULL_HZ, RATE_TOLERANCE
-
-Array = NDArray[np.float64]
 
 NODES = 2
 """Between two rows: an input that jumps early and one that jumps late act differently."""

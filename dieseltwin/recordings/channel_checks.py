@@ -7,13 +7,13 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from dieseltwin.arrays import Array
 from dieseltwin.notes import Note
 from dieseltwin.recordings.held import number_step
 from dieseltwin.recordings.noise import estimate_noise
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.recordings.unread import STUCK_S, same_readings
 
-Array = NDArray[np.float64]
 Rows = NDArray[np.int_]
 
 _BLOCK = 8  # readings that are compared at once; shorter repetitions aren't looked for

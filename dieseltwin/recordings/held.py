@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from dieseltwin.arrays import Array
 
 _FEWEST_CHANGES = 8  # by chance eight changes all fall on every second row once in 256 tries
 _OFF_RASTER = 0.05  # of the gaps between changes may be off the raster: pauses, lost messages

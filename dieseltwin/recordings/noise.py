@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from dieseltwin.arrays import Array
 from dieseltwin.recordings.held import number_step, rows_between_readings
-
-Array = NDArray[np.float64]
 
 _MEDIAN_BIAS = 1.01  # of a logarithm of medians over about 90 overlapping blocks, measured on 20 draws at three rho
 _LARGEST_RHO = 0.9

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from dieseltwin.arrays import Array
 from dieseltwin.notes import Note
 from dieseltwin.recordings.channels import MEASURED
 from dieseltwin.recordings.held import own_readings
 
-Array = NDArray[np.float64]
 Rows = NDArray[np.int_]
 
 STUCK_S = 30.0

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from dieseltwin.arrays import Array
 from dieseltwin.errors import InputError
 from dieseltwin.notes import Note
 from dieseltwin.recordings.channels import TIME
@@ -18,7 +18,6 @@ from dieseltwin.recordings.named_columns import Imported, named_columns, numbers
 from dieseltwin.rigs.parameters import RigParameters
 from dieseltwin.settings.names import listed
 
-Array = NDArray[np.float64]
 LEAST_ROWS = 20
 
 

@@ -26,6 +26,7 @@ import pandas as pd
 import torch
 from numpy.typing import ArrayLike
 
+from dieseltwin.arrays import Array
 from dieseltwin.errors import InputError
 from dieseltwin.networks import MultiHead, load_state, network_from_spec, save_state
 from dieseltwin.settings.params import BodiesConfig
@@ -36,7 +37,7 @@ from dieseltwin.surrogates.body_training import (
     train_as_printed,
     train_by_projection,
 )
-from dieseltwin.surrogates.output_transforms import TRANSFORMS, Floats
+from dieseltwin.surrogates.output_transforms import TRANSFORMS
 
 Kind = Literal["paper", "conditioned"]
 Space = Literal["state", "linear"]
@@ -68,16 +69,16 @@ class Body:
 
     columns: tuple[str, ...]
     network: MultiHead
-    shift: Floats
-    mix: Floats
-    curve: Floats
+    shift: Array
+    mix: Array
+    curve: Array
 
     @property
     def width(self) -> int:
         """Number k of basis functions."""
         return int(self.mix.shape[1])
 
-    def basis(self, time01: ArrayLike, duration_s: float = WINDOW_S) -> tuple[Floats, Floats]:
+    def basis(self, time01: ArrayLike, duration_s: float = WINDOW_S) -> tuple[Array, Array]:
         """Basis h (n, k) [-] and its rate dh/dt (n, k) [1/s] (exact).
 
         Args:
@@ -89,7 +90,7 @@ class Body:
             h, dh = self.network.basis(x)
         return (h.numpy() - self.shift) @ self.mix, dh.numpy() @ self.mix * (2.0 / duration_s)
 
-    def training_minutes(self) -> dict[str, Floats]:
+    def training_minutes(self) -> dict[str, Array]:
         """What the stored heads say of the training minutes, (301, 240) [SI] a state: Case-I, then Case-IV."""
         with torch.no_grad():
             z = self.network(scaled_times()).numpy()
@@ -160,7 +161,7 @@ class Bodies(Mapping[str, Body]):
         return cls(meta["training"], {name: members[name] for name in BODIES})
 
 
-def minutes(recording: pd.DataFrame, column: str) -> Floats:
+def minutes(recording: pd.DataFrame, column: str) -> Array:
     """Whole minutes of a recording at 0.2 s, (301, m); neighbours share their end rows."""
     if column not in recording:
         raise InputError("recording for the bodies", f"no column {column}", list(TRANSFORMS), "simulate the states")
@@ -227,7 +228,7 @@ def train_bodies(
     return Bodies(kind, members)
 
 
-def _with_best_heads(body: Body, states: Mapping[str, Floats]) -> Body:
+def _with_best_heads(body: Body, states: Mapping[str, Array]) -> Body:
     """The body with the closed-form heads of its training minutes in the network."""
     h, _ = body.basis(np.linspace(0.0, 1.0, WINDOW_ROWS))
     heads = np.concatenate([_heads(h, TRANSFORMS[c].linear(y)) for c, y in states.items()], axis=1)
@@ -238,7 +239,7 @@ def _with_best_heads(body: Body, states: Mapping[str, Floats]) -> Body:
     return body
 
 
-def _training_minutes(cases: Mapping[str, pd.DataFrame], column: str, heads: int) -> Floats:
+def _training_minutes(cases: Mapping[str, pd.DataFrame], column: str, heads: int) -> Array:
     """(301, heads) [SI]: the first half of Case-I, the second of Case-IV."""
     missing = [case for case in TRAINING_CASES if case not in cases]
     if missing:
@@ -250,15 +251,15 @@ def _training_minutes(cases: Mapping[str, pd.DataFrame], column: str, heads: int
     return np.concatenate([part[:, :each] for part in parts], axis=1)
 
 
-def _design(h: Floats) -> Floats:
+def _design(h: Array) -> Array:
     return np.concatenate([np.ones((len(h), 1)), h], axis=1)
 
 
-def _heads(h: Floats, z: Floats) -> Floats:
+def _heads(h: Array, z: Array) -> Array:
     return np.asarray(np.linalg.lstsq(_design(h), z, rcond=RANK_TOLERANCE)[0], dtype=np.float64)
 
 
-def _projection_error(design: Floats, recordings: Sequence[pd.DataFrame], column: str, space: Space) -> float:
+def _projection_error(design: Array, recordings: Sequence[pd.DataFrame], column: str, space: Space) -> float:
     truth = np.concatenate([minutes(frame, column) for frame in recordings], axis=1)
     transform = TRANSFORMS[column]
     z = transform.linear(truth)
@@ -266,5 +267,5 @@ def _projection_error(design: Floats, recordings: Sequence[pd.DataFrame], column
     return _relative_pct(transform.state(projected), truth) if space == "state" else _relative_pct(projected, z)
 
 
-def _relative_pct(predicted: Floats, truth: Floats) -> float:
+def _relative_pct(predicted: Array, truth: Array) -> float:
     return 100.0 * float(np.linalg.norm(predicted - truth) / np.linalg.norm(truth))

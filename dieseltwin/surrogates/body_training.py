@@ -10,9 +10,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from dieseltwin.arrays import Array
 from dieseltwin.networks import MultiHead
 from dieseltwin.settings.params import BodiesConditionedConfig, BodiesPaperConfig
-from dieseltwin.surrogates.output_transforms import TRANSFORMS, Floats
+from dieseltwin.surrogates.output_transforms import TRANSFORMS
 
 WINDOW_S = 60.0  # paper
 WINDOW_ROWS = 301  # at 0.2 s: paper
@@ -25,14 +26,14 @@ class TrainedBody(NamedTuple):
     """A network (float64), the shift (k,) and mix (k, k) that make its basis orthonormal, the training curve."""
 
     network: MultiHead
-    shift: Floats
-    mix: Floats
-    curve: Floats
+    shift: Array
+    mix: Array
+    curve: Array
 
 
 def train_as_printed(
     widths: tuple[int, ...],
-    states: Mapping[str, Floats],
+    states: Mapping[str, Array],
     config: BodiesPaperConfig,
     generator: torch.Generator,
     tell: Callable[[float], None] | None,
@@ -71,7 +72,7 @@ def train_as_printed(
 
 def train_by_projection(
     widths: tuple[int, ...],
-    recordings: Mapping[str, Sequence[Floats]],
+    recordings: Mapping[str, Sequence[Array]],
     config: BodiesConditionedConfig,
     generator: torch.Generator,
     tell: Callable[[float], None] | None,
@@ -135,7 +136,7 @@ def train_by_projection(
     return TrainedBody(network, shift, mix, np.asarray(curve))
 
 
-def second_moment(recordings: Mapping[str, Sequence[Floats]]) -> Floats:
+def second_moment(recordings: Mapping[str, Sequence[Array]]) -> Array:
     """Mean over the windows at every start of z z^T without the windows' means, summed over states, (301, 301).
 
     Args:

@@ -10,9 +10,9 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import root
 
+from dieseltwin.arrays import Array
 from dieseltwin.engine import Actuation, EngineParameters, Observations, ParameterBatch
 from dieseltwin.engine._compiled import (
     OMEGA_HIGH,
@@ -32,7 +32,6 @@ from dieseltwin.engine.observations import observations
 from dieseltwin.engine.parameters import constants
 from dieseltwin.sensors import READ
 
-Array = NDArray[np.float64]
 MapFunctions = Mapping[str, Callable[..., Any]]
 """Functions of the engine's signatures by the names of `engine.MAPS`, over numpy; none: the formulae."""
 Point = tuple[float, float, float, float]

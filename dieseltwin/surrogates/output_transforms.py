@@ -8,12 +8,11 @@ from typing import Literal
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from torch import Tensor
 
+from dieseltwin.arrays import Array
 from dieseltwin.errors import InputError
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -29,11 +28,11 @@ class OutputTransform:
         f = torch.nn.functional.softplus if self.function == "softplus" else torch.sigmoid
         return f(z) + self.offset
 
-    def state(self, z: ArrayLike) -> Floats:
+    def state(self, z: ArrayLike) -> Array:
         """State [SI] of a linear output."""
         return self.scale * self.scaled(torch.as_tensor(np.asarray(z, dtype=np.float64))).numpy()
 
-    def linear(self, state: ArrayLike) -> Floats:
+    def linear(self, state: ArrayLike) -> Array:
         """Linear output z of a state [SI], the inverse of `state`."""
         y = np.asarray(state, dtype=np.float64) / self.scale - self.offset
         upper = np.inf if self.function == "softplus" else 1.0

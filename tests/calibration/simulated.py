@@ -6,15 +6,13 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dieseltwin.arrays import Array
 from dieseltwin.calibration.coefficients import with_scalars
 from dieseltwin.calibration.steady_model import ROWS, SteadyModel
 from dieseltwin.engine import we2011
 from dieseltwin.engine.parameters import EngineParameters
 from dieseltwin.recordings.steady_points import STATES, SteadyPoints, points
-
-Array = NDArray[np.float64]
 
 GEOMETRY = we2011.PARAMETERS.replace(V_d=0.0108, r_c=17.5, R_c=0.0368, R_t=0.0368)
 TRUTH = with_scalars(GEOMETRY, {

@@ -14,9 +14,8 @@ from typing import Any, Literal, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from dieseltwin.arrays import Array
 from dieseltwin.discovery.twins.offers import Offer
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from dieseltwin.arrays import Array
 
 STEPS = 12
 """Of a piece."""

@@ -14,9 +14,9 @@ from functools import cached_property
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from dieseltwin.arrays import Array
 from dieseltwin.identification.few_shot._compiled import (
     CURVATURE_ROWS,
     N_CHANNELS,
@@ -27,8 +27,6 @@ from dieseltwin.identification.few_shot._compiled import (
 )
 from dieseltwin.identification.few_shot.heads import Heads
 from dieseltwin.identification.few_shot.residuals import N_HEALTH, Cylinder, DrivenInputs, PointModel
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -16,16 +16,15 @@ from typing import TypeVar
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.linalg.blas import dtrmv
 from scipy.linalg.lapack import dpotrf, dpotrs, dtrtrs
 from torch import Tensor
 
+from dieseltwin.arrays import Array
 from dieseltwin.engine.observations import pool, thread_count
 from dieseltwin.identification.few_shot.collocation import Collocation, Curvature, Data, Objective
 from dieseltwin.identification.few_shot.residuals import N_HEALTH, Cylinder
 
-Array = NDArray[np.float64]
 T = TypeVar("T")
 
 DAMPING_DOWN, DAMPING_UP = 0.1, 8.0
