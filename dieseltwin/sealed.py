@@ -17,6 +17,7 @@ from dieseltwin.errors import InputError
 KEY = "content_sha256"  # files have a "sha256" of their own: that of the recording
 MARK = f"# {KEY}: "
 REMARK = " of all lines above; remove this line when you edit the file"
+TOO_DEEP = "lists in lists thousands deep"
 _DIGITS = 64
 
 
@@ -79,8 +80,12 @@ def read_json(path: Path, wanted: str, do: str) -> dict[str, Any]:
     """
     try:
         content = opened_json(json.loads(path.read_text(encoding="utf-8")), str(path), do)
-    except (OSError, ValueError, RecursionError) as error:
+    except OSError as error:
+        raise InputError(str(path), (error.strerror or str(error)).lower(), wanted, do) from None
+    except ValueError as error:
         raise InputError(str(path), error, wanted, do) from None
+    except RecursionError:
+        raise InputError(str(path), TOO_DEEP, wanted, do) from None
     if not isinstance(content, dict):
         raise InputError(str(path), f"a {type(content).__name__}", wanted, do)
     return content

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,7 +12,7 @@ from dieseltwin.errors import InputError
 from dieseltwin.report import quantities
 from dieseltwin.report.discovery_words import magnitude_words, site_words
 from dieseltwin.report.statistics import Z_90 as Z_90
-from dieseltwin.sealed import opened_json
+from dieseltwin.sealed import read_json
 
 IDENTIFICATION = "identification.json"
 _EMPTY = "–"
@@ -163,15 +162,15 @@ def _apart(said: Sequence[tuple[str, str]]) -> tuple[tuple[str, ...], tuple[str,
 
 def _identified(folder: Path) -> Saved:
     path = folder / IDENTIFICATION
+    wanted, do = "what `dieseltwin identify` wrote", "identify again"
+    document = read_json(path, wanted, do)
     try:
-        document = opened_json(json.loads(path.read_text(encoding="utf-8")), str(path), "identify again")
         levels = tuple(_level(name, entry["mean"], entry["std"], None)
                        for name, entry in document["parameters"].items())
         about = f"method {document['method']}; segments: {len(document['segments'])}, runs: {len(document['runs'])}"
         said = [(str(warning.get("code")), str(warning["text"])) for warning in document.get("warnings", ())]
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(str(path), f"{type(error).__name__} {error}", "what `dieseltwin identify` wrote",
-                         "identify again") from None
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(str(path), f"{type(error).__name__} {error}", wanted, do) from None
     return Saved("identify", None, about, levels, (), *_apart(said))
 
 

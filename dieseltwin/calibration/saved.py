@@ -7,7 +7,6 @@ unmeasured places with its covariance, and the first guess of the states, so tha
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -30,11 +29,12 @@ from dieseltwin.engine.parameters import EngineParameters
 from dieseltwin.errors import InputError
 from dieseltwin.notes import doubts_among, warnings_of
 from dieseltwin.recordings.steady_points import SteadyPoints
-from dieseltwin.sealed import opened_json, sealed_json, sealed_text
+from dieseltwin.sealed import read_json, sealed_json, sealed_text
 
 FORMAT = 1
 STEADY_FORMAT = 3  # 1 held one formulation and the terms that the engine file now has
 WITHOUT_POINTS = 2  # still read: answers without what the balances left at the points
+_OURS = ("JSON that this version wrote", "write it anew")
 
 
 def calibration_sidecar(engine_file: Path) -> Path:
@@ -220,18 +220,14 @@ def _listed(column: NDArray[np.float64]) -> list[float | None]:
 
 
 def _read(path: Path, *versions: int) -> dict[str, Any]:
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise _broken(path, error) from None
-    content = opened_json(content, str(path), "write it anew")
-    if not isinstance(content, dict) or content.get("format") not in versions:
+    content = read_json(path, *_OURS)
+    if content.get("format") not in versions:
         raise _broken(path, "another format")
     return content
 
 
 def _broken(path: Path, error: object) -> InputError:
-    return InputError(str(path), f"no readable sidecar ({error})", "JSON that this version wrote", "write it anew")
+    return InputError(str(path), f"no readable sidecar ({error})", *_OURS)
 
 
 def _finite(values: Mapping[str, Any]) -> dict[str, Any]:

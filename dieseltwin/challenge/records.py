@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
@@ -29,7 +28,7 @@ from dieseltwin.engine.terms import Term, as_later
 from dieseltwin.errors import InputError
 from dieseltwin.paths import file_sha256
 from dieseltwin.recordings.reader import Recording, read_recording
-from dieseltwin.sealed import opened_json, read_json, sealed_json
+from dieseltwin.sealed import read_json, sealed_json
 from dieseltwin.settings.defaults import default_search
 
 _SCORER = (
@@ -274,8 +273,8 @@ def _true_effect(fault: Fault) -> TrueEffect:
 def _kept(cache: Path) -> dict[str, Any]:
     """What was kept, nothing where it isn't whole: it is computed again then."""
     try:
-        return dict(opened_json(json.loads(cache.read_text(encoding="utf-8")), str(cache), "remove it"))
-    except (OSError, ValueError, TypeError, InputError):
+        return read_json(cache, "what `challenge score` kept", "remove it")
+    except InputError:
         return {}
 
 

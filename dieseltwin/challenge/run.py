@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import resource
 import time
@@ -27,7 +26,6 @@ from dieseltwin.challenge.stamps import code_sha256
 from dieseltwin.discovery.verdict.document import FILE_NAME, Discrepancy
 from dieseltwin.discovery.verdict.explain import plain
 from dieseltwin.engine import EngineParameters, we2011
-from dieseltwin.errors import InputError
 from dieseltwin.paths import file_sha256
 from dieseltwin.petrol.calibrate import fit_maps
 from dieseltwin.petrol.discover import discover_petrol
@@ -35,7 +33,7 @@ from dieseltwin.petrol.parameters import PetrolParameters, load_petrol, save_pet
 from dieseltwin.petrol.recording import read_petrol
 from dieseltwin.recordings.reader import Recording, read_recording
 from dieseltwin.recordings.steady_points import SteadyPoints, beside_reference, read_points
-from dieseltwin.sealed import opened_json, read_json, sealed_json, sealed_text
+from dieseltwin.sealed import read_json, sealed_json, sealed_text
 from dieseltwin.settings.strict import unknown_name, validate
 
 RESULTS = "results"
@@ -85,17 +83,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
         InputError: no benchmark, or not readable.
     """
     path = folder / MANIFEST
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        found = str(error) if isinstance(error, ValueError) else (error.strerror or str(error)).lower()
-        raise InputError(str(path), found, "the manifest of `challenge make`", "give its folder") from None
-    except RecursionError:
-        raise InputError(str(path), "lists in lists thousands deep", "the manifest of `challenge make`",
-                         "restore it") from None
-    content = opened_json(content, str(path), "give the folder that `challenge make` wrote")
-    if not isinstance(content, dict):
-        raise InputError(str(path), f"a {type(content).__name__}", "the manifest of `challenge make`", "restore it")
+    content = read_json(path, "the manifest of `challenge make`", "give the folder that `challenge make` wrote")
     validate(Manifest, content, str(path))
     return content
 

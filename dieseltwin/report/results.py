@@ -7,7 +7,6 @@ All values are SI; missing values (``null``) become NaN.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -19,11 +18,12 @@ import pandas as pd
 
 from dieseltwin.discovery.verdict.health_value import SinceReference
 from dieseltwin.errors import InputError
-from dieseltwin.sealed import opened_json
+from dieseltwin.sealed import read_json
 from dieseltwin.settings.methods import known
 from dieseltwin.symbols import HEALTH_NAMES
 
 PARAMETERS = HEALTH_NAMES
+_WRITTEN = ("a JSON document", "write it again with `dieseltwin identify`")
 
 
 @dataclass(frozen=True)
@@ -217,18 +217,8 @@ def method_from_document(
     )
 
 
-def _read_json(path: Path) -> Any:
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise InputError(
-            str(path), error, "a JSON document", "write it again with `dieseltwin identify`"
-        ) from error
-    return opened_json(content, str(path), "write it again with `dieseltwin identify`")
-
-
 def _optional_json(path: Path) -> dict[str, Any]:
-    return dict(_read_json(path)) if path.exists() else {}
+    return read_json(path, *_WRITTEN) if path.exists() else {}
 
 
 def _optional_table(path: Path) -> pd.DataFrame | None:
@@ -252,7 +242,7 @@ def load_method(directory: Path) -> MethodResult:
             "check the path",
         )
     return method_from_document(
-        _read_json(path),
+        read_json(path, *_WRITTEN),
         runtime=_optional_json(directory / "runtime.json"),
         states=_optional_table(directory / "states.parquet"),
         curves=_optional_table(directory / "curves.parquet"),

@@ -20,7 +20,7 @@ from dieseltwin.discovery.verdict.health_value import HealthValue, NotNegative
 from dieseltwin.engine.courses import Spans
 from dieseltwin.errors import InputError
 from dieseltwin.notes import Note, warnings_of
-from dieseltwin.sealed import opened_json, sealed_json
+from dieseltwin.sealed import TOO_DEEP, opened_json, sealed_json
 from dieseltwin.settings.strict import FrozenModel, where_told
 
 SCHEMA = 1
@@ -347,8 +347,9 @@ def parse_discrepancy(text: str, where: str = FILE_NAME) -> Discrepancy:
     again = "write it again with `dieseltwin discover`"
     try:
         content = json.loads(text, parse_constant=_refuse_constant, object_pairs_hook=_unique_keys)
-    except ValueError as error:  # JSONDecodeError is one
-        raise InputError(where, str(error), "strict JSON: numbers without NaN, every key once", again) from None
+    except (ValueError, RecursionError) as error:  # JSONDecodeError is a ValueError
+        got = TOO_DEEP if isinstance(error, RecursionError) else str(error)
+        raise InputError(where, got, "strict JSON: numbers without NaN, every key once", again) from None
     content = opened_json(content, where, again)
     if not isinstance(content, dict):
         raise InputError(where, f"a {type(content).__name__}", "an object with the keys of schema 1", again)

@@ -16,7 +16,7 @@ from dieseltwin.discovery.verdict.unseen import most_first
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.errors import InputError
 from dieseltwin.notes import listing
-from dieseltwin.sealed import opened_json
+from dieseltwin.sealed import read_json
 from dieseltwin.settings.strict import unknown_name
 
 DETAILS = "details.json"
@@ -63,14 +63,8 @@ def load_details(folder: str | Path) -> dict[str, Any]:
     """
     path = Path(folder) / DETAILS
     do = "run `dieseltwin discover RECORDING --out DIR` first"
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(str(path), "no such file", "a folder that `dieseltwin discover` wrote", do) from None
-    except (OSError, ValueError) as error:
-        raise InputError(str(path), error, "JSON that `dieseltwin discover` wrote", do) from None
-    content = opened_json(content, str(path), do)
-    if not isinstance(content, dict) or not {"candidates", "options", "equivalent_gain"} <= set(content):
+    content = read_json(path, "JSON that `dieseltwin discover` wrote", do)
+    if not {"candidates", "options", "equivalent_gain"} <= set(content):
         raise InputError(str(path), "other content", "JSON that `dieseltwin discover` of this version wrote", do)
     return content
 
