@@ -201,11 +201,13 @@ class PetrolCalibrated(Result):
         notes: what is doubtful about the recording.
         engine: the calibrated engine, with verdicts on fault-free pieces that its maps did not see.
         fits: of each balance on held-out stretches.
+        unjudged: how many further fault-free pieces can't be judged.
     """
 
     engine: PetrolParameters
     fits: tuple[SubmodelFit, ...]
     notes: tuple[Note, ...] = ()
+    unjudged: int = 0
 
     @property
     def warnings(self) -> list[dict[str, Any]]:
@@ -218,8 +220,7 @@ class PetrolCalibrated(Result):
 
     @property
     def sentence(self) -> str:
-        alarms = sum(piece.alarm for piece in self.engine.pieces)
-        return f"{self.engine.name}: {alarms} false alarms on {len(self.engine.pieces)} fault-free pieces."
+        return f"{self.engine.name}: {pages.false_alarms(self.engine.pieces, self.unjudged)}."
 
     def table(self) -> pd.DataFrame:
         """One row a balance: robust standard deviation of the held-out misfit [%], and the number of blocks."""
@@ -240,7 +241,7 @@ class PetrolCalibrated(Result):
         return ()
 
     def lines(self) -> list[str]:
-        return [*pages.calibration_lines(self.fits, self.engine.pieces), *self._said]
+        return [*pages.calibration_lines(self.fits, self.engine.pieces, self.unjudged), *self._said]
 
 
 def alarms_when_learned(engine: PetrolParameters) -> list[Note]:
@@ -276,13 +277,13 @@ def learn_petrol(
     """
     sources = [petrol_recording(item, channels) for item in recordings]
     together = pooled(sources)
-    engine, fits = calibrated(together.signals, base.model_copy(update={"terms": ()}), together.sha256)
+    engine, fits, unjudged = calibrated(together.signals, base.model_copy(update={"terms": ()}), together.sha256)
     notes = [note for item in sources for note in recording_notes(item)]
     if base.terms:
         dropped = listed(list(dict.fromkeys(term.effect for term in base.terms)))
         notes.append(Note(f"{dropped} among the terms of {base.name} left out: the recordings are taken to be without "
                           "fault", "terms_left_out"))  # fmt: skip
-    return PetrolCalibrated(engine, tuple(fits), tuple(notes))
+    return PetrolCalibrated(engine, tuple(fits), tuple(notes), unjudged)
 
 
 def recording_notes(recording: PetrolRecording) -> list[Note]:

@@ -277,13 +277,15 @@ def pieces(grid: Grid) -> list[tuple[float, float]]:
     return list(pairwise(edges))
 
 
-def calibrate(signals: Signals, base: PetrolParameters, sha256: str) -> tuple[PetrolParameters, list[SubmodelFit]]:
+def calibrate(
+    signals: Signals, base: PetrolParameters, sha256: str
+) -> tuple[PetrolParameters, list[SubmodelFit], int]:
     """Calibrate, then judge pieces of the recording with maps that did not see them: an alarm there is a false one.
 
-    A piece that can't be judged, as nothing else idles or goes as far, is left out.
+    A piece that can't be judged, as nothing else idles or goes as far, is counted alone.
 
     Returns:
-        the engine, with those pieces; the fit of each balance on held-out stretches.
+        the engine, with those pieces; the fit of each balance on held-out stretches; how many pieces can't be judged.
 
     Raises:
         InputError: a recording of less than ten minutes, or without idling.
@@ -293,15 +295,16 @@ def calibrate(signals: Signals, base: PetrolParameters, sha256: str) -> tuple[Pe
     if driven_s < LEAST_DURATION_S:
         raise InputError("calibration", f"{driven_s:.0f} s", f"at least {LEAST_DURATION_S:.0f} s", "record longer")
     engine, fits = fit_maps(signals, base)
-    judged = []
+    judged, unjudged = [], 0
     for span in pieces(grid):
         try:
             rest, _ = fit_maps(signals, base, without=span)
             _, found = judge(rest, signals.part(*span))
         except InputError:
+            unjudged += 1
             continue
         best = max([(found.gain(fit), fit.candidate.names[0]) for fit in found.singles[:1]]
                    + [(v.gain, v.name) for v in found.scanned[:1]], default=(0.0, "none"))
         judged.append(FaultFreePiece(start_s=span[0], end_s=min(span[1], end_s), gain=max(best[0], 0.0),
                                      name=best[1], alarm=found.kind != "healthy"))
-    return engine.model_copy(update={"pieces": tuple(judged), "calibrated_on": sha256}), fits
+    return engine.model_copy(update={"pieces": tuple(judged), "calibrated_on": sha256}), fits, unjudged

@@ -189,12 +189,21 @@ def fault_free_pieces(pieces: Sequence[FaultFreePiece]) -> ReportFigure:
     return ReportFigure("pieces", "Fault-free pieces", caption, figure)
 
 
-def calibration_lines(fits: Sequence[SubmodelFit], pieces: Sequence[FaultFreePiece]) -> list[str]:
+def false_alarms(pieces: Sequence[FaultFreePiece], unjudged: int) -> str:
+    """How many fault-free pieces raise an alarm, and how many couldn't be judged, in words."""
+    if unjudged and not pieces:
+        return f"false alarms aren't known, as none of {unjudged} fault-free pieces could be judged"
+    told = f"{sum(p.alarm for p in pieces)} false alarms on {len(pieces)} fault-free pieces"
+    return f"{told}; {unjudged} more couldn't be judged" if unjudged else told
+
+
+def calibration_lines(
+    fits: Sequence[SubmodelFit], pieces: Sequence[FaultFreePiece], unjudged: int
+) -> list[str]:
     """Fit of each balance on held-out stretches, and the verdicts on held-out fault-free pieces, as lines of text."""
     lines = [f"{'balance':<10}{'steady':>9}{'all':>9}   held-out misfit (robust standard deviation)"]
     for f in fits:
         lines.append(f"{f.name:<10}{100 * f.steady:>7.2f} %{100 * f.all_blocks:>7.2f} %   {f.blocks} blocks of 1 s")
     lines += [f"fault-free piece {p.start_s:.0f}-{p.end_s:.0f} s: {'ALARM' if p.alarm else 'quiet'}, strongest "
               f"{p.name} with a gain of {p.gain:.1f}" for p in pieces]
-    alarms = sum(p.alarm for p in pieces)
-    return [*lines, f"false alarms on pieces that their maps did not see: {alarms} of {len(pieces)}"]
+    return [*lines, f"judged with maps that did not see them: {false_alarms(pieces, unjudged)}"]

@@ -12,7 +12,7 @@ import pytest
 
 import dieseltwin as dt
 from dieseltwin.api.discovery import ask
-from dieseltwin.api.petrol import PetrolQuestion
+from dieseltwin.api.petrol import PetrolCalibrated, PetrolQuestion
 from dieseltwin.challenge.petrol_plant import drive
 from dieseltwin.cli.app import main
 from dieseltwin.discovery.verdict.document import load_discrepancy
@@ -197,8 +197,13 @@ def test_pauses_and_a_piece_that_cannot_be_judged(record: Recorder) -> None:
     table["time_s"] += 900.0 * (table.time_s > 350.0)
     idling = (table.alpha_th_pct < SHUT_PCT) & (table.omega_e_rad_s < IDLE_RAD_S)
     paused = read_petrol(table[~idling | (table.time_s > 2140.0)])
-    found, _ = calibrate(paused.signals, PetrolParameters(), "")
+    found, fits, unjudged = calibrate(paused.signals, PetrolParameters(), "")
     assert [piece.start_s for piece in found.pieces] == [0.0]
+    result = PetrolCalibrated(found, tuple(fits), unjudged=unjudged)
+    assert result.sentence.endswith(": 0 false alarms on 1 fault-free pieces; 1 more couldn't be judged.")
+    assert result.lines()[-1].endswith("; 1 more couldn't be judged")
+    none = replace(result, engine=found.model_copy(update={"pieces": ()}), unjudged=2)
+    assert none.sentence.endswith(": false alarms aren't known, as none of 2 fault-free pieces could be judged.")
 
 
 def test_engine_without_maps(tmp_path: Path) -> None:
