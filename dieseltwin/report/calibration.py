@@ -12,9 +12,10 @@ from dieseltwin.calibration.calibrate import Calibration
 from dieseltwin.calibration.steady_model import ROWS, Relations
 from dieseltwin.report.interactive import Line, Series, over, still
 from dieseltwin.report.page import Page, Section, Table, write_page
+from dieseltwin.report.style import AFTER, BEFORE
 from dieseltwin.version import __version__
 
-TRAIN, HELD, LINE = "#0072B2", "#D55E00", "#555555"
+TRAIN, HELD, LINE = AFTER, BEFORE, "#555555"
 TITLES = {
     "cylinder_flow": ("Volumetric efficiency", "flow into the cylinders W_ei", "kg/s", 1.0),
     "turbine_flow": ("Turbine flow", "turbine flow W_t", "kg/s", 1.0),

@@ -13,7 +13,7 @@ from matplotlib.ticker import LogLocator
 
 from dieseltwin.report import captions, quantities, style
 from dieseltwin.report.results import PARAMETERS, Results
-from dieseltwin.report.segment_axis import MOST_NAMES, WIDTH_IN, method_handles, offsets_of, segment_axis
+from dieseltwin.report.segment_axis import MOST_NAMES, WIDTH_IN, method_handles, name_segments, offsets_of, segment_axis
 from dieseltwin.report.statistics import error_over_bound, relative_bound, std_over_bound
 
 LEAST_STATED = 0.7  # a stated std below this share of the bound claims more than the readings can tell
@@ -139,9 +139,7 @@ def identifiability_map(results: Results) -> style.ReportFigure:
                 color="white" if dark_cell else "black",
                 fontsize=size,
             )
-    names = [segment.minutes for segment in segments]
-    step = max(1, math.ceil(len(names) / MOST_NAMES))
-    axes.set_xticks(range(0, len(names), step), names[::step])
+    name_segments(axes, segments)
     axes.set_yticks(range(len(PARAMETERS)), [quantities.symbol(p) for p in PARAMETERS], fontsize=11)
     axes.set_xlabel("segment [min]")
     axes.set_ylabel("parameter")

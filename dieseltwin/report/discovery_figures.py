@@ -21,10 +21,8 @@ from dieseltwin.report import quantities, style
 from dieseltwin.report.discovery_words import bias_words, display_unit, magnitude_words, unit_of
 from dieseltwin.report.segment_axis import WIDTH_IN
 from dieseltwin.report.statistics import Z_90
+from dieseltwin.report.style import AFTER, BEFORE, LIGHT
 
-BEFORE = "#D55E00"
-AFTER = "#0072B2"
-LIGHT = "#8CC3E8"
 DROPPED = "#b8b8b8"
 MOST_CANDIDATES = 14
 CELLS = 10  # of an operating map along each axis

@@ -16,7 +16,7 @@ from dieseltwin.report.discovery_words import sentence, unit_of
 from dieseltwin.report.encoding import Drawing, Drawn, drawn_here, drawn_in_two
 from dieseltwin.report.interactive import discovery_series, still
 from dieseltwin.report.law_cards import law_cards
-from dieseltwin.report.page import Page, Section, kept, write_page
+from dieseltwin.report.page import Page, Section, kept_of, write_page
 from dieseltwin.report.style import ReportFigure
 
 LOUD = 1.3  # rms residual over noise; right names leave 1.0 to 1.1 where maps and sensors keep to their tolerances
@@ -45,22 +45,19 @@ def discovery_sections(found: Discovery, drawn: Drawn = drawn_here) -> list[Sect
         "law": partial(discovery_figures.law_curves, found), "trends": partial(over_recordings.trends, found),
     })  # fmt: skip
 
-    def kept_of(*names: str) -> tuple[ReportFigure, ...]:
-        return kept(*(figures[name] for name in names))
-
     units = {row["name"]: curves.units.get(row["name"]) or unit_of(row["name"]) or "" for row in curves.candidates}
     sections = [
         Section("readings-over-time", "Readings over time", series=replace(series, pictured=figures["readings"])),
         Section("doubts", "What is doubtful", tables=(findings.doubts(found.document),)),
-        Section("over-recordings", "The recordings", kept_of("trends")),
-        Section("health-parameters", "Health parameters", kept_of("health")),
-        Section("law-of-it", "Law", kept_of("law")),
-        Section("evidence", "Evidence", kept_of("evidence_time", "evidence_maps")),
-        Section("residuals", "Residuals", kept_of("residual_time", "residual_map", "residual_map_actuators")),
-        Section("held-out", "Held-out score", kept_of("score")),
-        Section("weighed", "Candidates", kept_of("candidates"),
+        Section("over-recordings", "The recordings", kept_of(figures, "trends")),
+        Section("health-parameters", "Health parameters", kept_of(figures, "health")),
+        Section("law-of-it", "Law", kept_of(figures, "law")),
+        Section("evidence", "Evidence", kept_of(figures, "evidence_time", "evidence_maps")),
+        Section("residuals", "Residuals", kept_of(figures, "residual_time", "residual_map", "residual_map_actuators")),
+        Section("held-out", "Held-out score", kept_of(figures, "score")),
+        Section("weighed", "Candidates", kept_of(figures, "candidates"),
                 tables=(findings.weighed(curves.candidates, units),)),
-        Section("visible", "What could be seen", kept_of("visible")),
+        Section("visible", "What could be seen", kept_of(figures, "visible")),
     ]  # fmt: skip
     return [section for section in sections if not section.empty]
 

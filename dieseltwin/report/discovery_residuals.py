@@ -15,8 +15,9 @@ from dieseltwin.discovery.verdict.when import moments
 from dieseltwin.recordings.noise import estimate_noise
 from dieseltwin.report import discovery_captions as captions
 from dieseltwin.report import quantities, style
-from dieseltwin.report.discovery_figures import AFTER, BEFORE, MAPS, cell_means, edges_of
+from dieseltwin.report.discovery_figures import MAPS, cell_means, edges_of
 from dieseltwin.report.segment_axis import WIDTH_IN
+from dieseltwin.report.style import AFTER, BEFORE
 
 STRETCHES = 60  # of the whole recording: wide enough to average noise away, short enough to show driving
 LEAST_STRETCH_S = 5.0

@@ -14,7 +14,7 @@ from dieseltwin.notes import counted
 from dieseltwin.report import captions, charts, quantities, style, timeseries, training, violins
 from dieseltwin.report.encoding import Drawn, drawn_here
 from dieseltwin.report.interactive import results_series, still
-from dieseltwin.report.page import EMPTY, Page, Section, Table, kept, marked, swatched
+from dieseltwin.report.page import EMPTY, Page, Section, Table, kept_of, marked, swatched
 from dieseltwin.report.results import PARAMETERS, MethodResult, Results
 from dieseltwin.report.statistics import relative_error
 from dieseltwin.report.tables import headline, segment_table, summary_table
@@ -39,18 +39,16 @@ def identification_sections(results: Results, drawn: Drawn = drawn_here) -> list
         **{f"training {k}": partial(training.convergence, results, m) for k, m in enumerate(methods)},
     })  # fmt: skip
 
-    def kept_of(*names: str) -> tuple[style.ReportFigure, ...]:
-        return kept(*(figures[name] for name in names))
-
     every = range(len(methods))
     return [
         Section("readings-over-time", "Readings over time",
                 series=None if series is None else replace(series, drawn=figures["readings"])),
-        Section("parameters", "Health parameters", kept_of("map", "violins", "close"), tables=(_segments(results),)),
-        Section("accuracy", "Accuracy", kept_of("bound")),
-        Section("states", "States and flows", kept_of("states", "flows", "empirical")),
-        Section("residuals", "Residuals", kept_of(*(f"residuals {k}" for k in every)), captions.RESIDUALS),
-        Section("training", "Training", kept_of(*(f"training {k}" for k in every))),
+        Section("parameters", "Health parameters", kept_of(figures, "map", "violins", "close"),
+                tables=(_segments(results),)),
+        Section("accuracy", "Accuracy", kept_of(figures, "bound")),
+        Section("states", "States and flows", kept_of(figures, "states", "flows", "empirical")),
+        Section("residuals", "Residuals", kept_of(figures, *(f"residuals {k}" for k in every)), captions.RESIDUALS),
+        Section("training", "Training", kept_of(figures, *(f"training {k}" for k in every))),
     ]  # fmt: skip
 
 

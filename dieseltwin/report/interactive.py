@@ -23,12 +23,12 @@ from dieseltwin.report import quantities, style
 from dieseltwin.report.over_time import extremes
 from dieseltwin.report.results import Results
 from dieseltwin.report.segment_axis import WIDTH_IN
+from dieseltwin.report.style import AFTER, BEFORE, MEASURED
 
 MOST_ROWS = 5000  # of a panel on the page: seven panels of four lines stay below a megabyte
 DIGITS = 5
 FEW = 500  # points of a panel up to which they are drawn large
 CELLS = 3  # panels in a row of a figure where they share no axis
-MEASURED, BEFORE, AFTER = "#8a8a8a", "#D55E00", "#0072B2"
 REPAIR = ("before (health alone)", "after (repaired)")
 _VENDOR = Path(__file__).parent / "vendor"
 _SCRIPT = Path(__file__).parent / "templates" / "interactive.js"

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from dieseltwin.report import style
 
-BELIEVED, CORRECTED, LEFT = "#b8b8b8", "#0072B2", "#D55E00"
+BELIEVED, CORRECTED, LEFT = "#b8b8b8", style.AFTER, style.BEFORE
 
 
 @style.styled

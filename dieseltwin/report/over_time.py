@@ -18,7 +18,7 @@ SHOWN = (*MEASURED, "w_af_kg_s", "torque_nm")
 LABELS = {"w_af_kg_s": "$W_{af}$ [kg/s]"}
 """Axes of quantities that other engines than the nomenclature's have."""
 WIDTH_IN, PANEL_IN = 9.0, 1.5
-LINE = "#0072B2"
+LINE = style.AFTER
 
 
 def extremes(values: NDArray[np.float64], most: int) -> NDArray[np.intp]:

@@ -124,6 +124,11 @@ def kept(*figures: ReportFigure | None) -> tuple[ReportFigure, ...]:
     return tuple(figure for figure in figures if figure is not None)
 
 
+def kept_of(figures: Mapping[str, ReportFigure | None], *names: str) -> tuple[ReportFigure, ...]:
+    """Those of the names that there is data for."""
+    return kept(*(figures[name] for name in names))
+
+
 def swatched(label: str, colour: str) -> Markup:
     """A label behind a patch of its colour."""
     return Markup('<span class="swatch" style="background:{}"></span>{}').format(colour, label)

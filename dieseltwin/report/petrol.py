@@ -23,9 +23,9 @@ from dieseltwin.report.discovery_words import display_unit, magnitude_words
 from dieseltwin.report.interactive import Line, Mark, Panel, Series, over, still
 from dieseltwin.report.law_cards import Told, law_cards
 from dieseltwin.report.page import Page, Section, Table
-from dieseltwin.report.style import ReportFigure
+from dieseltwin.report.style import AFTER, BEFORE, ReportFigure
 
-BEFORE, AFTER, LIMIT = "#D55E00", "#0072B2", "#000000"
+LIMIT = "#000000"
 TITLES = {"cylinder": "cylinder balance: air flow against η_vol(ω_e, p_im)",
           "throttle": "throttle balance: air flow against A(α)", "boost": "boost: p_ic against p_amb at rest"}
 SHOWN = ("cylinder", "throttle", "boost")

@@ -23,10 +23,10 @@ from dieseltwin.recordings.steady_points import JUDGED
 from dieseltwin.report import findings, quantities
 from dieseltwin.report.calibration import TITLES, parity
 from dieseltwin.report.discovery_words import magnitude_words, site_words
-from dieseltwin.report.interactive import AFTER, BEFORE, Line, Panel, Series, over, still
+from dieseltwin.report.interactive import Line, Panel, Series, over, still
 from dieseltwin.report.law_cards import law_cards
 from dieseltwin.report.page import Page, Section, Table
-from dieseltwin.report.style import ReportFigure, styled
+from dieseltwin.report.style import AFTER, BEFORE, ReportFigure, styled
 
 IMPLIED = (("p_es_pa", "behind the turbine p_es", "kPa", 1e-3), ("p_bc_pa", "before the compressor p_bc", "kPa", 1e-3),
            ("t_im_k", "intake manifold T_im", "K", 1.0), ("t_c_k", "behind the compressor T_c", "K", 1.0))  # fmt: skip

@@ -15,9 +15,10 @@ from dieseltwin.discovery.verdict.reasons import candidate_rows
 from dieseltwin.discovery.verdict.when import moments, when_words
 from dieseltwin.report import findings
 from dieseltwin.report.discovery_words import magnitude_words
-from dieseltwin.report.interactive import AFTER, BEFORE, MEASURED, Line, Mark, Panel, Series, repair_panels, still
+from dieseltwin.report.interactive import Line, Mark, Panel, Series, repair_panels, still
 from dieseltwin.report.law_cards import Told, law_cards
 from dieseltwin.report.page import EMPTY, Page, Section, Table
+from dieseltwin.report.style import AFTER, BEFORE, MEASURED
 from dieseltwin.rigs.discover import RigDiscovery
 from dieseltwin.rigs.equations import equations
 from dieseltwin.rigs.expressions import names_in

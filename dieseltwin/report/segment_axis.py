@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from dieseltwin.report import style
-from dieseltwin.report.results import MethodResult, Results
+from dieseltwin.report.results import MethodResult, Results, SegmentResult
 
 WIDTH_IN = 11.0
 LINE_HALF = 0.4  # half width of one segment's slot on the axis
@@ -20,13 +20,18 @@ MOST_NAMES = 24  # more segment names than this don't fit beside each other
 
 def segment_axis(axes: Axes, results: Results) -> None:
     """Name the segments [min] below ``axes`` and separate them by dotted lines."""
-    names = [segment.minutes for segment in results.segments]
+    name_segments(axes, results.segments)
+    axes.set_xlim(-0.5, len(results.segments) - 0.5)
+    axes.grid(False, axis="x")
+    for edge in range(1, len(results.segments)):
+        axes.axvline(edge - 0.5, color=style.SEGMENT_LINE, linewidth=0.6, linestyle=":")
+
+
+def name_segments(axes: Axes, segments: Sequence[SegmentResult]) -> None:
+    """Name the segments [min] below ``axes``, as many of them as fit beside each other."""
+    names = [segment.minutes for segment in segments]
     step = max(1, math.ceil(len(names) / MOST_NAMES))
     axes.set_xticks(range(0, len(names), step), names[::step])
-    axes.set_xlim(-0.5, len(names) - 0.5)
-    axes.grid(False, axis="x")
-    for edge in range(1, len(names)):
-        axes.axvline(edge - 0.5, color=style.SEGMENT_LINE, linewidth=0.6, linestyle=":")
 
 
 def method_handles(methods: Sequence[MethodResult]) -> list[Line2D]:

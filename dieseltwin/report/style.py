@@ -31,6 +31,10 @@ from dieseltwin.settings.methods import MethodStyle, known
 
 TRUTH = "#000000"
 MEASURED = "#8a8a8a"
+BEFORE = "#D55E00"
+"""What is wrong or was before a repair; alarms."""
+AFTER = "#0072B2"
+LIGHT = "#8CC3E8"  # of the same hue
 PAPER = "#b8b8b8"
 GRID = "#dcdcdc"
 PALETTE_COLOURS = 255

@@ -15,7 +15,7 @@ from dieseltwin.report import style
 from dieseltwin.report.statistics import Z_90
 
 COLUMNS = 2
-_VALUE, _LEVEL, _ALARM = "#0072B2", "#777777", "#D55E00"
+_VALUE, _LEVEL, _ALARM = style.AFTER, "#777777", style.BEFORE
 _WIDTH_IN, _ROW_IN = 9.0, 2.2
 
 
