@@ -2,27 +2,21 @@
 
 from __future__ import annotations
 
-import difflib
 import itertools
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from typing import Self
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from dieseltwin.engine.courses import Spans, course
+from dieseltwin.settings.names import close_names
 from dieseltwin.settings.strict import where_told
 
 Region = dict[str, tuple[float, float]]
 """Input column -> (low, high): where a term acts."""
 
 REGION_COLUMNS = ("n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")
-
-
-def close_names(name: str, known: Collection[str]) -> str:
-    """The known names that are near to a wrong one, else all of them, in words."""
-    near = difflib.get_close_matches(name, list(known), n=3, cutoff=0.5)
-    return f"did you mean {', '.join(near)}?" if near else f"known: {', '.join(known)}"
 
 
 def _listed(spans: Spans) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -13,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from dieseltwin.engine.model_constants import CONSTANT_NAMES, PUBLISHED, Constants, derived
 from dieseltwin.engine.terms import AnyTerm
 from dieseltwin.errors import InputError
-from dieseltwin.settings.strict import NO_YES_FOR_A_NUMBER, holds_boolean
+from dieseltwin.settings.strict import NO_YES_FOR_A_NUMBER, holds_boolean, unknown_name
 
 HEALTH = ("A_egrmax", "A_vgtmax", "eta_sc", "h_tot")
 """The four health parameters, in the order of every array that holds them."""
@@ -131,11 +130,7 @@ def validated(values: Mapping[str, Any], source: str) -> EngineParameters:
     known = list(EngineParameters.model_fields)
     for key in values:
         if key not in known:
-            close = difflib.get_close_matches(key, known, n=1)
-            hint = f"did you mean {close[0]!r}?" if close else "see `dieseltwin engine show` for the names"
-            raise InputError(
-                f"{source}: unknown engine parameter", got=repr(key), allowed="names of the engine model", do=hint
-            )
+            raise unknown_name(f"{source}: engine parameters", key, known)
     try:
         return EngineParameters(**values)
     except ValidationError as error:
@@ -241,13 +236,7 @@ def parameter_batch(parameters: EngineParameters, size: int | None = None, **col
     values: dict[str, Any] = dict(zip(common, np.repeat(list(common.values()), batch).reshape(-1, batch), strict=True))
     for name, column in columns.items():
         if name not in PUBLISHED:
-            close = difflib.get_close_matches(name, PUBLISHED, n=1)
-            raise InputError(
-                "parameter batch: unknown parameter",
-                got=repr(name),
-                allowed="scalar engine parameters",
-                do=f"did you mean {close[0]!r}?" if close else "see `dieseltwin engine show`",
-            )
+            raise unknown_name("parameter batch", name, PUBLISHED)
         values[name] = np.asarray(column, dtype=np.float64).reshape(batch)
     values.update(derived(values))
     rows = np.array([values[name] for name in CONSTANT_NAMES], dtype=np.float64)

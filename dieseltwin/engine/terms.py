@@ -12,12 +12,13 @@ from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, field_val
 from dieseltwin.engine.array_namespace import Array, positive_power
 from dieseltwin.engine.effect import Entry, Operator
 from dieseltwin.engine.effects import EFFECTS
-from dieseltwin.engine.limited import Limited, close_names
+from dieseltwin.engine.limited import Limited
 from dieseltwin.engine.map_corrections import basis
 from dieseltwin.engine.nozzle import choking_quotient, nozzle_flow_factor
 from dieseltwin.engine.quantities import ADDED_AT, POINTS
 from dieseltwin.errors import InputError
 from dieseltwin.sensors import SENSORS
+from dieseltwin.settings.names import close_names
 
 LAW_VARIABLES = (
     "p_im", "p_em", "omega_t", "n_e", "u_delta", "u_egr", "u_vgt", "p_amb", "T_amb", "T_im", "T_em", "T_e", "T_c",

@@ -14,7 +14,7 @@ from dieseltwin.discovery.laws.grammar import Factor, Form, Kind
 from dieseltwin.discovery.laws.twin import Placed
 from dieseltwin.rigs.expressions import names_in, usable
 from dieseltwin.sealed import sealed_text
-from dieseltwin.settings.names import did_you_mean, listed
+from dieseltwin.settings.names import close_names, listed
 from dieseltwin.settings.strict import StrictModel, read_mapping, validate
 
 KIND = "rig"
@@ -184,8 +184,7 @@ def _names(where: str, formula: str) -> tuple[str, ...]:
 def _check(where: str, names: Iterable[str], known: Collection[str]) -> None:
     for name in names:
         if name not in known:
-            hint = did_you_mean(name, list(known))
-            raise ValueError(f"{where}: unknown name {name!r}; {hint if '?' in hint else f'known: {listed([*known])}'}")
+            raise ValueError(f"{where}: unknown name {name!r}; {close_names(name, known)}")
 
 
 def is_rig(path: str | Path) -> bool:

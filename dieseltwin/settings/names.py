@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 from dieseltwin.errors import InputError
 
@@ -23,11 +23,18 @@ def refuse_options(given: Mapping[str, object], where: str) -> None:
 
 def did_you_mean(name: str, known: Sequence[str]) -> str:
     """'did you mean eta_sc?' for the closest known names, or where to look when none is close."""
+    return _meant(name, known) or "remove it or take one of the allowed names"
+
+
+def close_names(name: str, known: Collection[str]) -> str:
+    """'did you mean eta_sc?' for the closest known names, or what is known when none is close."""
+    return _meant(name, known) or f"known: {listed(list(known))}"
+
+
+def _meant(name: str, known: Collection[str]) -> str:
     folded = {k.lower(): k for k in known}
     close = difflib.get_close_matches(name.lower(), list(folded), n=2, cutoff=0.55)
-    if close:
-        return f"did you mean {' or '.join(folded[c] for c in close)}?"
-    return "remove it or take one of the allowed names"
+    return f"did you mean {' or '.join(folded[c] for c in close)}?" if close else ""
 
 
 def listed(names: Sequence[str]) -> str:
