@@ -106,7 +106,8 @@ _TABLE: tuple[Symbol, ...] = (
 SYMBOLS: dict[str, Symbol] = {s.name: s for s in _TABLE}
 BY_COLUMN: dict[str, Symbol] = {s.column: s for s in _TABLE}
 
-INPUT_COLUMNS = ("time_s", "n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")
+INPUT_COLUMNS = ("n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")
+"""Columns of the engine's inputs, in the order of every array of inputs."""
 STATES = tuple(SYMBOLS[name].column for name in ("p_im", "p_em", "omega_t", "x_r", "T_1"))
 """Columns of the engine's states, in the order of every array of states."""
 HEALTH_NAMES = ("A_egrmax", "A_vgtmax", "eta_sc", "h_tot")

@@ -53,7 +53,7 @@ def test_the_usual_wrong_units_lie_outside() -> None:
 def test_lookup_by_name_and_by_column() -> None:
     assert symbol("p_im") is symbol("p_im_pa")
     assert symbol("A_egrmax").unit == "m2"
-    for name in (*(sensor.name for sensor in SENSORS), *HEALTH_NAMES, *INPUT_COLUMNS):
+    for name in (*(sensor.name for sensor in SENSORS), *HEALTH_NAMES, "time_s", *INPUT_COLUMNS):
         symbol(name)
 
 

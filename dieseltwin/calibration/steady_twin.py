@@ -49,6 +49,7 @@ from dieseltwin.recordings.channels import OPTIONAL_INPUTS
 from dieseltwin.recordings.noise import Noise
 from dieseltwin.recordings.steady_points import JUDGED, STATES, SteadyPoints
 from dieseltwin.settings.search import PointSettings
+from dieseltwin.symbols import INPUT_COLUMNS
 
 MOVING_ONLY = (
     *ACTUATION_EFFECTS, GAS_LAG, *(n for n, e in EFFECTS.items() if e.drifts or e.enters.operator == "lag"),
@@ -134,9 +135,7 @@ class SteadyTwin(TwinDefaults):
         )  # fmt: skip
         self.time_s: Array = np.arange(self.data.size, dtype=np.float64)
         self.starts = np.arange(self.data.size, dtype=np.int64)
-        self.conditions: Mapping[str, Array] = {
-            name: self.data[name] for name in ("n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")
-        }
+        self.conditions: Mapping[str, Array] = {name: self.data[name] for name in INPUT_COLUMNS}
         readings = self.data.states()
         known = np.isfinite(readings) & np.array([c in self.used for c in STATES])
         self._x = np.where(known, readings, calibration.estimate.x[order])

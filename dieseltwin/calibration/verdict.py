@@ -331,7 +331,6 @@ def _region(result: PointsDiscovery) -> FoundRegion:
     strong = gain >= np.median(gain)
     total = float(np.sum(np.maximum(gain, 0.0)))
     share = float(np.sum(np.maximum(gain[strong], 0.0)) / total) if total > 0 else 1.0
-    box = {name: (float(points[name][strong].min()), float(points[name][strong].max()))
-           for name in ("n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")}
+    box = {name: (float(points[name][strong].min()), float(points[name][strong].max())) for name in INPUTS}
     return FoundRegion(n_e_rpm=box["n_e_rpm"], u_delta_mg=box["u_delta_mg"], u_egr_pct=box["u_egr_pct"],
                        u_vgt_pct=box["u_vgt_pct"], share_of_evidence=min(share, 1.0))

@@ -9,13 +9,12 @@ import numpy as np
 
 from dieseltwin.engine.parameters import EngineParameters
 from dieseltwin.errors import InputError
+from dieseltwin.symbols import INPUT_COLUMNS
 
 DEFAULT_STEP_S = 0.0125
 """Largest integration step [s]: RK4 then errs by at most 0.01 % of a column's mean (see benchmarks/simulator.py)."""
 
 STEP_TOLERANCE = 1e-3  # of a step: time stamps far from zero (epoch time) are rounded by 1e-7 s
-
-INPUT_COLUMNS = ("n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")
 
 
 @dataclass(frozen=True)

@@ -12,11 +12,10 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 from dieseltwin.engine.courses import Spans, course
 from dieseltwin.settings.names import close_names
 from dieseltwin.settings.strict import where_told
+from dieseltwin.symbols import INPUT_COLUMNS
 
 Region = dict[str, tuple[float, float]]
 """Input column -> (low, high): where a term acts."""
-
-REGION_COLUMNS = ("n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")
 
 
 def _listed(spans: Spans) -> str:
@@ -69,8 +68,8 @@ class Limited(BaseModel):
     @classmethod
     def _known_columns(cls, region: Region | None) -> Region | None:
         for column, (low, high) in (region or {}).items():
-            if column not in REGION_COLUMNS:
-                raise ValueError(f"unknown region column {column!r}; {close_names(column, REGION_COLUMNS)}")
+            if column not in INPUT_COLUMNS:
+                raise ValueError(f"unknown region column {column!r}; {close_names(column, INPUT_COLUMNS)}")
             if not low <= high:
                 raise ValueError(f"region {column}: low {low:g} above high {high:g}")
         return region
@@ -81,7 +80,7 @@ class Limited(BaseModel):
 
         Args:
             time_s: sample times [s], (n,); start_s: the recording's start, from which its times count.
-            conditions: the input columns of `REGION_COLUMNS`, (n,) each.
+            conditions: the input columns of `INPUT_COLUMNS`, (n,) each.
         """
         since = 0.0 if self.onset_s is None else self.onset_s
         factor = course(time_s - start_s, since, self.until_s, self.grown_s, self.gone_s)

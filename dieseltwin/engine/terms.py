@@ -363,7 +363,7 @@ def amounts(
         terms: of an engine; laws and terms in other slots are not looked at.
         names: of slots: effects of the catalogue, or `SENSOR_SLOTS`.
         time_s: sample times [s], (n,); start_s: the recording's start.
-        conditions: the input columns of `REGION_COLUMNS`, (n,) each.
+        conditions: the input columns of `INPUT_COLUMNS`, (n,) each.
     """
     out = np.zeros((len(names), time_s.size))
     for term in effect_terms(terms):

@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 from dieseltwin.engine import HEALTH, actuate, quantities_frame
 from dieseltwin.engine.extended_frame import lanes_along
 from dieseltwin.identification.problem import SegmentProblem
+from dieseltwin.symbols import INPUT_COLUMNS
 
 INTERVAL = 0.90
 """Probability of every reported interval and band."""
 LOW, HIGH = "_lo", "_hi"
 """Suffixes of the columns that hold the 90 % band."""
 
-_INPUTS = ("time_s", "n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")
+_INPUTS = ("time_s", *INPUT_COLUMNS)
 _ACTUATORS = ("u_egr1_pct", "u_egr2_pct", "u_vgt_act_pct")
 
 

@@ -24,8 +24,7 @@ from dieseltwin.recordings.reader import Recording, Segment, read_recording, rec
 from dieseltwin.sensors import relative_noise
 from dieseltwin.settings.params import CaseConfig, DrivingConfig, EngineConfig, NoiseConfig, Params
 from dieseltwin.settings.strict import unknown_name
-
-INPUT_NAMES = ("n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")
+from dieseltwin.symbols import INPUT_COLUMNS
 
 JOINT_S = 4.0  # passage between blocks of driving: the longest ramp of the random driving
 # Set-II is arranged around the only long idle in the second half of the WHTC, seconds 1146-1195
@@ -185,7 +184,7 @@ def simulated(
     n = round((known[-1] - known[0]) / sample_s) + 1
     # k * 0.2 has 17 digits; rounded, the times read 0.6 as a logger writes them
     time = np.round(known[0] + sample_s * np.arange(n), 6)
-    n_e, u_delta, u_egr, u_vgt = (np.interp(time, known, inputs[name]) for name in INPUT_NAMES)
+    n_e, u_delta, u_egr, u_vgt = (np.interp(time, known, inputs[name]) for name in INPUT_COLUMNS)
     frame = simulate(Inputs(time, n_e, u_delta, u_egr, u_vgt), parameters, step_s=step_s, oxygen=oxygen)
     _check_finite(frame)
     frame["p_amb_pa"] = parameters.p_amb
@@ -222,7 +221,7 @@ def add_noise(clean: pd.DataFrame, noise: NoiseConfig) -> pd.DataFrame:
         noise: `noise` of params.yaml; another seed, other noise of the same level.
     """
     rng = np.random.default_rng([noise.seed, 0])
-    noisy = clean[["time_s", *INPUT_NAMES]].copy()
+    noisy = clean[["time_s", *INPUT_COLUMNS]].copy()
     for name, sigma in zip(MEASURED, noise_sigma(clean, noise), strict=True):
         # drawn for absent sensors too, so that the noise of one sensor does not depend on the others
         draws = rng.standard_normal(len(clean))
@@ -271,7 +270,7 @@ def benchmark_segments(path: str | Path, parameters: EngineParameters) -> tuple[
         parameters: the engine to record, for instance the field values.
     """
     source = read_recording(path, engine=parameters, sensors=())
-    n_e, u_delta, u_egr, u_vgt = (source.columns[name] for name in INPUT_NAMES)
+    n_e, u_delta, u_egr, u_vgt = (source.columns[name] for name in INPUT_COLUMNS)
     inputs = Inputs(source.time_s, n_e, u_delta, u_egr, u_vgt)
     start = ("p_im_pa", "p_em_pa", "omega_t_rad_s")
     initial = np.array([source.columns[n][0] for n in start]) if all(n in source.columns for n in start) else None

@@ -38,17 +38,18 @@ from dieseltwin.recordings.error_codes import without_codes
 from dieseltwin.recordings.time_units import SECONDS
 from dieseltwin.sensors import MEASURED, NEEDED
 from dieseltwin.settings.strict import StrictModel, did_you_mean, listed, read_mapping, unknown_name, validate
-from dieseltwin.symbols import BY_COLUMN
+from dieseltwin.symbols import BY_COLUMN, INPUT_COLUMNS
 
 TIME = "time_s"
 DATABASE_KEY = "dbc"  # key of a channel map that names a database of CAN messages instead of a channel
 DATABASE_SUFFIXES = (".dbc", ".arxml", ".kcd", ".sym")
-INPUTS = ("n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")
+INPUTS = INPUT_COLUMNS
 SENSORS = NEEDED
 OPTIONAL_INPUTS = ("u_flap_pct",)
 THROTTLE = "alpha_th_pct"  # by which a petrol engine's recording is known (`petrol.recording`)
 INTAKE = "t_im_k"  # no sensor of the table: the model takes it from the recording
 AMBIENT = ("p_amb_pa", "t_amb_k")
+DIESEL_COLUMNS = (*INPUTS, *OPTIONAL_INPUTS, *MEASURED, INTAKE, *AMBIENT)
 
 # suffix of our columns -> the unit they are in
 SUFFIX_UNITS: Mapping[str, str] = {
@@ -104,7 +105,7 @@ def optional_inputs(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 def known_columns() -> tuple[str, ...]:
     """Columns that a recording may carry by DISCOVERY's recording format, required ones first."""
-    return (TIME, *INPUTS, *OPTIONAL_INPUTS, *MEASURED, INTAKE, *AMBIENT, "torque_nm")
+    return (TIME, *DIESEL_COLUMNS, "torque_nm")
 
 
 LARGEST_FACTOR = 1e15  # of a scale or an offset

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dieseltwin.errors import InputError
-from dieseltwin.recordings.channels import AMBIENT, INPUTS, INTAKE, OPTIONAL_INPUTS, TIME
+from dieseltwin.recordings.channels import DIESEL_COLUMNS, INPUTS, OPTIONAL_INPUTS, TIME
 from dieseltwin.recordings.error_codes import without_codes
 from dieseltwin.recordings.noise import cut_off
 from dieseltwin.sensors import MEASURED
@@ -36,8 +36,6 @@ SLIPS: Mapping[str, tuple[Slip, ...]] = {
     "K": (Slip("degC", -60.0, 230.0),),
     "rad/s": (Slip("rpm", 2.5e4, 3e5), Slip("krpm", 2.0, 250.0)),
 }
-# columns that are checked, in the order of the complaints; the ranges are in `symbols`
-CHECKED = (*INPUTS, *OPTIONAL_INPUTS, *MEASURED, INTAKE, *AMBIENT)
 LONGEST_GAP_S = 1.0
 JITTER = 1.5  # steps: rows of 1 Hz that are 1.01 s apart are no gap
 TINY_FUEL_MG = 0.1  # a median below this is no fuel of a running engine in mg/cycle
@@ -60,7 +58,7 @@ def mask_wild(columns: dict[str, np.ndarray]) -> list[str]:
     """Make values missing that are loggers' error codes, and single ones that no engine has in any unit (1e300, an
     overflow); a sentence for each column."""
     notes = []
-    for name in (name for name in CHECKED if name in columns):
+    for name in (name for name in DIESEL_COLUMNS if name in columns):
         columns[name], coded = without_codes(name, columns[name], columns[name])
         notes.extend(coded)
         wild = np.abs(columns[name]) > WILD * symbol(name).high  # not so for NaN
@@ -93,7 +91,7 @@ def check_plausible(
     Raises:
         InputError: a column without values, or values that cannot be in that unit.
     """
-    for name in CHECKED:
+    for name in DIESEL_COLUMNS:
         values = columns.get(name)
         if values is None:
             continue

@@ -13,6 +13,7 @@ from dieseltwin.atomic import atomic_path, write_json
 from dieseltwin.identification.result import curves_table
 from dieseltwin.report.results import PARAMETERS, Results, method_from_document
 from dieseltwin.sensors import MEASURED
+from dieseltwin.symbols import INPUT_COLUMNS
 
 if TYPE_CHECKING:
     from dieseltwin.identification.problem import SegmentProblem
@@ -25,7 +26,7 @@ def measured_table(problems: Sequence[SegmentProblem]) -> pd.DataFrame:
     for problem in problems:
         start = problem.inputs.n_history
         part = pd.DataFrame({"time_s": problem.time_s})
-        for column in ("n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct"):
+        for column in INPUT_COLUMNS:
             part[column] = np.asarray(getattr(problem.inputs, column))[start:]
         for index, column in enumerate(MEASURED):
             part[column] = problem.measured[:, index]

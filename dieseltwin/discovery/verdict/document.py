@@ -22,6 +22,7 @@ from dieseltwin.errors import InputError
 from dieseltwin.notes import Note, warnings_of
 from dieseltwin.sealed import TOO_DEEP, opened_json, sealed_json
 from dieseltwin.settings.strict import FrozenModel, where_told
+from dieseltwin.symbols import INPUT_COLUMNS
 
 SCHEMA = 1
 NOTED_CHI2 = 4.0  # per sample of the repaired fit, twice the noise: worth a warning
@@ -62,7 +63,7 @@ class FoundRegion(FrozenModel):
 
     @model_validator(mode="after")
     def _ordered(self) -> FoundRegion:
-        for name in ("n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct"):
+        for name in INPUT_COLUMNS:
             low, high = getattr(self, name)
             if low > high:
                 raise ValueError(f"{name} runs from {low:g} to {high:g}: the lower end comes first")

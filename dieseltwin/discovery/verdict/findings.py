@@ -16,11 +16,11 @@ from dieseltwin.discovery.twins.interface import Array, Twin
 from dieseltwin.discovery.twins.several import SeveralTwin
 from dieseltwin.discovery.verdict.document import NONE_OF_THESE, Alternative, FoundEffect, FoundRegion, Location
 from dieseltwin.discovery.verdict.reasons import split_by
+from dieseltwin.symbols import INPUT_COLUMNS
 
 _LEAST_PROBABILITY = 1e-3  # of a site or name that is still worth a line
 _RIVALS = 5  # sites that are said beside the first
 _REGION_SHARE = 0.9  # of the positive evidence that a reported region holds along each condition
-_CONDITIONS = ("n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")
 
 
 def finite(value: float | None) -> float | None:
@@ -126,7 +126,7 @@ def _regions(
         return ()
     box: dict[str, tuple[float, float]] = {}
     inside = np.ones(evidence.size, dtype=bool)
-    for name in _CONDITIONS:
+    for name in INPUT_COLUMNS:
         values = twin.conditions[name]
         if known and name in known:
             low, high = np.clip(known[name], values.min(), values.max())

@@ -17,8 +17,9 @@ from dieseltwin.engine.extended_terms import simulate_terms
 from dieseltwin.engine.parameters import parameter_batch
 from dieseltwin.engine.terms import CorrectionTerm, LawTerm, OneTerm, Term
 from dieseltwin.recordings.reader import Recording
+from dieseltwin.symbols import INPUT_COLUMNS
 
-_GIVEN = ("time_s", "n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")
+_GIVEN = ("time_s", *INPUT_COLUMNS)
 STD = "_std"
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from dieseltwin.recordings.channels import AMBIENT, INPUTS, INTAKE, OPTIONAL_INPUTS
-from dieseltwin.sensors import MEASURED, SENSORS
+from dieseltwin.recordings.channels import AMBIENT, DIESEL_COLUMNS
+from dieseltwin.sensors import SENSORS
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Machine:
 DIESEL = Machine(
     "diesel engine",
     "meanings",
-    (*INPUTS, *OPTIONAL_INPUTS, *MEASURED, INTAKE, *AMBIENT, "torque_nm"),
+    (*DIESEL_COLUMNS, "torque_nm"),
     {
         "n_e_rpm": "without engine speed nothing can be simulated or fitted",
         "u_delta_mg": "without fuel nothing can be simulated or fitted; fuel per hour would do, or air flow and lambda",
