@@ -12,6 +12,11 @@ from dieseltwin.arrays import Array
 
 Index = NDArray[np.int_]
 
+INTERVAL = 0.90
+"""Probability of every reported interval and band."""
+Z_90 = 1.6448536269514722
+"""Half width of the 90 % interval of a Gaussian in standard deviations, and a one-sided limit of 95 %."""
+
 
 @dataclass(frozen=True)
 class Linearisation:

@@ -9,9 +9,9 @@ from pathlib import Path
 
 from dieseltwin.discovery.verdict.document import FILE_NAME, load_discrepancy
 from dieseltwin.errors import InputError
+from dieseltwin.least_squares import Z_90 as Z_90
 from dieseltwin.report import quantities
 from dieseltwin.report.discovery_words import magnitude_words, site_words
-from dieseltwin.report.statistics import Z_90 as Z_90
 from dieseltwin.sealed import read_json
 
 IDENTIFICATION = "identification.json"

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dieseltwin.challenge.metrics import Share, nameable
+from dieseltwin.challenge.metrics import COVERAGE_Z, Share, nameable
 from dieseltwin.challenge.plant_effects import FAMILIES
 from dieseltwin.challenge.records import COUNTED_RATIO, CaseRow
 from dieseltwin.discovery.verdict.document import NONE_OF_THESE
@@ -148,7 +148,7 @@ def _magnitudes(figure: Any, rows: Sequence[CaseRow]) -> bool:
     axes = figure.add_subplot()
     for among, colour, label in ((~two, _BLUE, "one fault"), (two, _RED, "one of two")):
         if among.any():
-            axes.errorbar(true[among], np.maximum(found[among], 0.05), yerr=1.645 * spread[among], fmt="o", ms=3.5,
+            axes.errorbar(true[among], np.maximum(found[among], 0.05), yerr=COVERAGE_Z * spread[among], fmt="o", ms=3.5,
                           lw=0.7, color=colour, alpha=0.8, label=f"{label} ({among.sum()})")  # fmt: skip
     ends = np.array([0.9, 11.0])
     axes.plot(ends, ends, color=_GREY, lw=0.8)

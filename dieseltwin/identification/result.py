@@ -15,17 +15,16 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy.special import ndtri, stdtrit
+from scipy.special import stdtrit
 
 from dieseltwin.arrays import Array
 from dieseltwin.engine.parameters import HEALTH, HEALTH_UNITS
 from dieseltwin.identification.problem import SegmentProblem
-from dieseltwin.identification.states import INTERVAL, StateSamples, segment_states
+from dieseltwin.identification.states import StateSamples, segment_states
+from dieseltwin.least_squares import INTERVAL, Z_90
 
 SCHEMA = 1
 EPOCH = "epoch"
-Z_90 = float(ndtri(0.5 + INTERVAL / 2.0))
-"""Half width of the 90 % interval in standard deviations."""
 MEMBERS_FOR_QUANTILES = 20
 """From this many members on, the spread is read as quantiles; below, a Student interval is used."""
 STATE_SAMPLES = 24

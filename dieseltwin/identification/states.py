@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 from dieseltwin.engine import HEALTH, actuate, quantities_frame
 from dieseltwin.engine.extended_frame import lanes_along
 from dieseltwin.identification.problem import SegmentProblem
+from dieseltwin.least_squares import INTERVAL
 from dieseltwin.symbols import INPUT_COLUMNS
 
-INTERVAL = 0.90
-"""Probability of every reported interval and band."""
 LOW, HIGH = "_lo", "_hi"
 """Suffixes of the columns that hold the 90 % band."""
 

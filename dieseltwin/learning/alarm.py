@@ -24,13 +24,13 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from scipy.special import log_ndtr, logsumexp
 
+from dieseltwin.least_squares import Z_90
 from dieseltwin.settings.watch import WatchConfig
 
 Array = np.ndarray
 
 _YEAR_D = 365.25
 _SURE = 0.9
-_EDGE = 1.645  # standard deviations of a one-sided 95 % limit
 _GONE = 0.5  # of the alarm's size: what is surely less is no longer there
 
 
@@ -247,7 +247,7 @@ def _sizes(name: str, scores: Sequence[Sequence[Score]], day: int, settings: Wat
 
 def _gone(at: int, size: float, sizes: Array, stds: Array) -> int | None:
     """Number of the recording after the alarm from which on an effect surely has less than half of the alarm's size."""
-    absent = np.sign(size) * sizes + _EDGE * stds < _GONE * abs(size)
+    absent = np.sign(size) * sizes + Z_90 * stds < _GONE * abs(size)
     gone: int | None = None
     for k in range(at + 1, len(sizes)):
         if np.isfinite(sizes[k]):

@@ -16,11 +16,11 @@ from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.discovery.verdict.curves import Candidate, Curves, Discovery
 from dieseltwin.discovery.verdict.document import NONE_OF_THESE
 from dieseltwin.discovery.verdict.when import clock, moments
+from dieseltwin.least_squares import Z_90
 from dieseltwin.report import discovery_captions as captions
 from dieseltwin.report import quantities, style
 from dieseltwin.report.discovery_words import bias_words, display_unit, magnitude_words, unit_of
 from dieseltwin.report.segment_axis import WIDTH_IN
-from dieseltwin.report.statistics import Z_90
 from dieseltwin.report.style import AFTER, BEFORE, LIGHT
 
 DROPPED = "#b8b8b8"

@@ -13,8 +13,6 @@ from dieseltwin.identification.states import HIGH, LOW
 from dieseltwin.report.results import PARAMETERS, Estimate, MethodResult, Results
 from dieseltwin.sensors import MEASURED
 
-Z_90 = 1.6448536269514722  # half width of a Gaussian 90 % interval in standard deviations
-
 
 def reference_values(results: Results) -> dict[str, float]:
     """What figures are divided by: the truth where known, else the first finite pooled estimate [SI]."""

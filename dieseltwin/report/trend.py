@@ -11,8 +11,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from dieseltwin.least_squares import Z_90
 from dieseltwin.report import style
-from dieseltwin.report.statistics import Z_90
 
 COLUMNS = 2
 _VALUE, _LEVEL, _ALARM = style.AFTER, "#777777", style.BEFORE

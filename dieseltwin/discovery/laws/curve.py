@@ -8,10 +8,10 @@ import numpy as np
 
 from dieseltwin.discovery.laws.responses import PointResponse
 from dieseltwin.discovery.twins.interface import Array
+from dieseltwin.least_squares import Z_90
 
 _BINS = 9
 _GRID = 40
-_BAND = 1.645  # standard deviations: 90 %
 
 
 @dataclass(frozen=True)
@@ -57,5 +57,5 @@ def law_curve(values: Array, signal: Array, spread: float, response: PointRespon
     used = np.unique(bin_of)
     x = np.array([values[bin_of == b].mean() for b in used])
     y = np.array([signal[bin_of == b].mean() for b in used])
-    half = _BAND * spread * np.abs(y)
+    half = Z_90 * spread * np.abs(y)
     return Curve(x, y, y - half, y + half, *binned(values, response))

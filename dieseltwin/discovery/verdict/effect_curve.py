@@ -19,12 +19,12 @@ from dieseltwin.engine import EngineParameters, constants
 from dieseltwin.engine.effect import Curve, Effect, unchanged
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.errors import DieselTwinError
+from dieseltwin.least_squares import Z_90
 
 BINS = 7
 _DIFFERENCE = 0.02  # of the magnitude, for the response to a bin
 _WEAK_STD = 3.0  # relative to the magnitude: bins that the recording says nothing about stay near the law
 _GRID = 20
-_BAND = 1.645  # standard deviations: 90 %
 _QUANTILES = (0.02, 0.98)  # of the argument over which bins lie
 
 Variables = Mapping[str, Array]
@@ -67,7 +67,7 @@ def effect_curves(at: Linearisation, engine: EngineParameters) -> list[LawCurve]
         relative = 0.0 if not np.isfinite(std) else std / abs(magnitude)
         grid, curve = _averaged(effect, effect.curve, magnitude, variables, engine, x, acts)
         on_knots = np.interp(knots, grid, curve)
-        half = _BAND * relative * np.abs(curve)
+        half = Z_90 * relative * np.abs(curve)
         curves.append(
             LawCurve(
                 name=name, x_name=effect.curve.over, x=grid, curve=curve, low=curve - half, high=curve + half,
