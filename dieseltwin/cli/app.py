@@ -143,7 +143,9 @@ def main(arguments: list[str] | None = None) -> int:
         return _fail(error, error.exit_code)
     except _ClickError as error:  # a wrong option or argument
         message = shortened(one_line(error.format_message()).rstrip("."), 200)  # type: ignore[attr-defined]
-        return _fail(f"{message}; see `dieseltwin --help`", InputError.exit_code)
+        context = getattr(error, "ctx", None)
+        command = "dieseltwin" if context is None else context.command_path
+        return _fail(f"{message}; see `{command} --help`", InputError.exit_code)
     except BrokenPipeError:  # `dieseltwin engine show | head`: the flush at the end must not complain either
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0

@@ -120,7 +120,7 @@ def added(quantity: Array, signal: Array) -> Array:
 
 def driven(x: OperatingPoint, m: Magnitudes, s: Signals, c: Constants) -> OperatingPoint:
     """The operating point with injected mass [mg/cycle] and actuator positions [%] as they really are."""
-    u_delta = at_u_delta(relative(x.u_delta, s.u_delta), x, m, c)
+    u_delta = at_u_delta(maximum(relative(x.u_delta, s.u_delta), 0.0), x, m, c)
     u_egr = at_u_egr(added(x.u_egr, s.u_egr), x, m, c)
     u_vgt = at_u_vgt(added(x.u_vgt, s.u_vgt), x, m, c)
     return OperatingPoint(x.p_im, x.p_em, x.omega_t, x.x_r, x.T_1, x.n_e, u_delta, u_egr, u_vgt)

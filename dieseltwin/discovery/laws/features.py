@@ -23,6 +23,7 @@ LAGS_S = (0.4, 2.0, 8.0)
 _OF_SPEED = (2.0, 3.0)  # powers lost to bearings and to a fluid that is stirred
 _LOCAL_WIDTHS = (0.12,)  # of the range driven; the law search has finer ones
 _RAREST = 12.0  # largest value of a signal of unit mean square: what acts on fewer samples hangs on a moment
+_WIDE = 0.4  # of its size, standard deviation of a quantity whose change by an amount is none by a share
 _STEP = 0.005  # of a point's scale: small enough to be linear
 _MATTERS = 3.0  # gain by responses at another fit from which a feature is simulated: a third of what chance leaves
 # of a feature's length that parameters and effects of the fit must leave: what is left of a term that is one of them is
@@ -81,7 +82,8 @@ class Structure:
 
 
 def generic_features(twin: Twin, fit: Fit) -> list[Feature]:
-    """One constant per point, one proportional to each port, a hole to the surroundings where a balance has a pressure,
+    """One constant per point, one proportional to each port, an amount of what varies widely and is changed by shares
+    (injected mass), a hole to the surroundings where a balance has a pressure,
     losses of a shaft; dead time, lag and play of each actuator, lags of fuel and gas, which no function of the moment
     comes near; offset and gain per sensor, and lags of those that may lag."""
     variables = {**twin.variables(fit.lanes()), "time_s": twin.time_s}
@@ -96,6 +98,9 @@ def generic_features(twin: Twin, fit: Fit) -> list[Feature]:
                 kind: Kind = "power" if values.min() > 0.0 else "signed_power"
                 form = Form(point.name, (Factor(kind, (port,), (size,), 1.0, (unit_of(port, {}),)),))
                 found.append(Feature(index, port, values / size, point.site, form=form))
+                if port == point.name and point.relative and kind == "power" and np.std(values) > _WIDE * size:
+                    amount = Form(point.name, (replace(form.factors[0], references=(1.0,), shape=-1.0),))
+                    found += _of_form(index, f"amount of {port}", amount, point.site, variables)
             if not point.relative and port.startswith("p_") and "p_amb" in variables:
                 warm = next((name for name in point.ports if name.startswith("T_")), None)
                 hole = _of_form(index, f"hole of {port}", _hole(point.name, port, size, warm, variables), point.site,

@@ -251,6 +251,13 @@ class Form:
         return any(factor.operator for factor in self.factors)
 
     @property
+    def amount(self) -> bool:
+        """A change of the quantity by the same amount always, at a point where changes are shares of it."""
+        return self.fixed is None and [(f.kind, f.variables, f.references, f.shape) for f in self.factors] == [
+            ("power", (self.point,), (1.0,), -1.0)
+        ]
+
+    @property
     def complexity(self) -> int:
         """Groups, and one more for each shape number that isn't 1."""
         return sum(1 + (f.kind in ("excess", "shortage") or f.shape not in (1.0, -1.0)) for f in self.factors)

@@ -15,6 +15,7 @@ from typing import cast
 import numpy as np
 
 from dieseltwin.discovery.laws.curve import Curve, law_curve
+from dieseltwin.discovery.laws.features import Structure
 from dieseltwin.discovery.laws.final_fit import Tolerances, about_itself, signals_of
 from dieseltwin.discovery.laws.grammar import Form
 from dieseltwin.discovery.laws.ranking import Ranked, rank, shortlist, simpler
@@ -27,10 +28,12 @@ from dieseltwin.discovery.twins.interface import ONSET_REACHES_S, Array, Twin, W
 
 RIVALS = 9.0  # 2 delta log-likelihood within which two laws can't be told apart (docs/discovery.md)
 _ALIKE_SHARE = 0.005  # of the gain: what maps that are off a little can add to a form that follows them
+_SIMPLER_SHARE = 0.0075  # of the gain: what maps that are off a little add to each further factor or term of a form
 _FINAL_ROUNDS = 8
 _OF_SUMS = 3  # of the best, whose terms are refitted alone
 _REFITS = 16  # after each ranking
 _RENEWALS = 1  # linearisations with the best law inside
+_AMOUNTS = (0.02, 0.05)  # of a quantity's typical size, from which refits of a change by an amount begin, too
 RESOLVED = 6.0  # score that a law, or a fault of a sensor, must reach over no law
 _LEADING = 0.5  # of the best score: points whose laws reach it are ranked again with the best law inside
 
@@ -103,12 +106,16 @@ class LawSearch:
         at: converged linearisation of that twin, with its tolerance directions.
         tolerances: directions about the law found, for its last fit; None keeps those of `at`.
         since_s: from when on the law acts, nearly; the best one's onset is moved until it fits best. None: always.
+        structure: scored features, of which changes by an amount are candidates: between the knots at which laws are
+            ranked such a change swings as widely as the quantity, and looks like next to nothing there.
     """
 
     def __init__(
-        self, twin: Twin, at: Linearisation, tolerances: Tolerances | None = None, since_s: float | None = None
-    ) -> None:
+        self, twin: Twin, at: Linearisation, tolerances: Tolerances | None = None, since_s: float | None = None,
+        structure: Sequence[Structure] = (),
+    ) -> None:  # fmt: skip
         self.twin, self.at, self.tolerances, self.since_s = twin, at, tolerances, since_s
+        self.structure = structure
         lanes = at.fit.lanes()
         self.responses, self.variables = Responses(at, lanes), {**twin.variables(lanes), "time_s": twin.time_s}
         self.refits: list[Refit] = []
@@ -123,6 +130,7 @@ class LawSearch:
         """
         here, variables = self.at, self.variables
         ranked = rank(self.twin, self.responses, variables, screened=screened, since_s=self.since_s)
+        self._amounts(screened)
         self._refit(here, shortlist(ranked, _REFITS), variables)
         for _ in range(_RENEWALS):
             if not self.refits or self.refits[0].score <= 0.0:
@@ -142,6 +150,32 @@ class LawSearch:
     def law(self) -> Law:
         """The best of the laws refitted, reported; there must be one."""
         return _report(self.twin, self.at, _simplest_first(self.refits), self.tolerances)
+
+    def _amounts(self, screened: Sequence[str] | None) -> None:
+        """Refit the changes by an amount among the features, each from several sizes: where nothing is left of the
+        quantity they bend (no fuel less than none in overrun), and a fit that starts small stays there."""
+        charge = float(np.log(self.at.whitening.present.sum()) + 2.0 * np.log(2.0 * len(self.twin.points)))
+        known = {refit.ranked.key for refit in self.refits}
+        for item in self.structure:
+            feature, form = item.feature, item.feature.form
+            if form is None or not form.amount or (screened is not None and form.point not in screened):
+                continue
+            at_one = float(np.sqrt(np.mean(np.square(form.value(self.variables)))))
+            typical = float(np.sqrt(np.mean(np.square(self.variables[form.point]))))
+            form, first = replace(form, since_s=self.since_s), item.coefficient / at_one or 1e-12
+            items = [Ranked(cast(int, feature.point), feature.site, (Placed(form, size),), item.gain, charge)
+                     for size in (first, *(float(np.sign(first)) * share * typical for share in _AMOUNTS))]
+            if items[0].key not in known:
+                self.refits.append(max(map(self._whole, items), key=lambda refit: refit.gain))
+        self.refits.sort(key=lambda refit: -refit.score)
+
+    def _whole(self, item: Ranked) -> Refit:
+        """A refit by full steps."""
+        try:
+            law, reached = _final(self.twin, self.at, item.placed, start_of(self.at, LawTwin(self.twin, item.placed)))
+        except np.linalg.LinAlgError:
+            return Refit(item, LawTwin(self.twin, item.placed), self.at.fit, -np.inf)
+        return Refit(item, law, reached.fit, self.at.fit.objective - reached.fit.objective)
 
     def _refit(self, here: Linearisation, items: Sequence[Ranked], variables: dict[str, Array]) -> None:
         """Refit those that weren't yet, best first."""
@@ -192,8 +226,10 @@ def _simplest_first(refits: list[Refit]) -> list[Refit]:
     A form that follows this recording's chance, or the errors of its maps, is no better here and worse on other
     driving.
     """
-    reach = max(RIVALS, _ALIKE_SHARE * refits[0].gain)
-    alike = [r for r in refits if refits[0].score - r.score < reach]
+    gain = refits[0].gain
+    behind = np.array([_SIMPLER_SHARE * gain * _complexity(r) - r.score for r in refits])
+    reach = behind.min() + max(RIVALS, _ALIKE_SHARE * gain)
+    alike = [r for r, far in zip(refits, behind, strict=True) if far < reach]
     simplest = min(alike, key=lambda r: (_complexity(r), -r.score))
     return [simplest, *(r for r in refits if r is not simplest)]
 
@@ -208,8 +244,10 @@ def law_text(twin: Twin, form: Form, coefficient: float, shape: float | None = N
     if form.fixed is not None:
         factor = form.factors[0]
         return f"{point.name} becomes {factor.operated(factor.shape if shape is None else shape, std)}"
-    unit = "" if point.unit == "-" else f" {point.unit}"
     spread = "" if std is None else f" +- {std:.2g}"
+    if form.amount:
+        return f"added to {point.name}: {coefficient:.4g}{spread} {form.factors[0].units[0]}"
+    unit = "" if point.unit == "-" else f" {point.unit}"
     kind = "relative change of" if point.relative else "added to"
     return f"{kind} {point.name}: {coefficient:.4g}{spread}{unit} {form.text(shape)}".rstrip()
 
@@ -249,7 +287,7 @@ def _report(
     best = refits[0]
     form = best.twin.laws[0].form
     coefficient = float(best.twin.values(best.fit.parameters)[0][0])
-    free = len(best.twin.laws) == 1 and bool(form.factors) and form.factors[0].has_free_shape
+    free = len(best.twin.laws) == 1 and bool(form.factors) and form.factors[0].has_free_shape and not form.amount
     estimates = best.twin.values(best.fit.parameters)
     placed = [replace(law, coefficient=float(c)) for law, (c, _) in zip(best.twin.laws, estimates, strict=True)]
     final = _final(twin, at, placed, best.fit)

@@ -209,7 +209,7 @@ def laws_in_turn(
         best: Refit | FaultFit | None = fault
         law: Law | None = None
         try:
-            inside = inside or LawSearch(twin, at, tolerances, since_s)
+            inside = inside or LawSearch(twin, at, tolerances, since_s, structure)
             refit = inside.best(screened)
             if refit is not None and (fault is None or _is_ahead(refit, fault)):
                 best = refit

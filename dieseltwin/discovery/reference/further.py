@@ -26,6 +26,7 @@ from dieseltwin.learning.belief import NOTHING_FURTHER, Belief, Further, with_fu
 _ROUGH = (0.0, 0.1, 0.3, 1.0, 3.0)  # over the variance of the usual errors
 _OF_RATIO = (0.0, 0.3, 1.0)
 _SIZES = (1.5, 1.75, 2.0, 2.25, 2.5, 2.75, 3.0, 3.5, 4.0, 5.0, 6.0)  # times what is believed
+_WITHIN = (0.25, 0.5, 1.0)  # times what is believed: no larger errors
 _LENGTHS = (1.0, 1.15, 1.3, 1.5)  # times what is believed, of errors larger than that
 _STEP = 0.05  # to which an average is rounded: readings that change in the last digits ask for the same
 _AHEAD = 10.0  # of log evidence by which maps must be more probable with a further kind of error: odds of 20000
@@ -56,7 +57,9 @@ def further_errors(
     sizes = [replace(usual, rough=rough, size=size) for size in _SIZES[::2] for rough in _ROUGH[1:]]
     sizes += [replace(usual, rough=0.0, size=size, smooth=length) for size in _SIZES for length in _LENGTHS]
     larger = max(sizes, key=ahead)
-    best = max(usual, larger, key=ahead)
+    # maps that hardly err are smooth to the eye: a longer length alone would pass for larger errors
+    within = [replace(usual, rough=0.0, size=size, smooth=length) for size in _WITHIN for length in _LENGTHS]
+    best = larger if ahead(larger) > max(map(ahead, (usual, *within))) else usual
     if best == NOTHING_FURTHER:
         return best
     gains = by_an_effect()

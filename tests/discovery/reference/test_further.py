@@ -69,6 +69,13 @@ def test_readings_tell_how_rough_a_map_is(length: float, rough: bool):
     assert found.of_ratio == 0.0
 
 
+@pytest.mark.parametrize("size", [0.0, 0.2, 1.0])
+def test_maps_that_hardly_err_are_not_off_by_more_than_usual(size: float):
+    """Exact ones were believed to be off by 1.5 times the usual over 1.5 times the length."""
+    found = further_errors(prior_belief(we2011.PARAMETERS, RMS), RMS, *_read(1.0 / 3.0, size), _no_effect)
+    assert found == NOTHING_FURTHER
+
+
 @pytest.mark.parametrize("second, of_ratio", [("Pi_t", False), ("BSR", True)])
 def test_readings_tell_whether_the_turbine_goes_with_its_blade_speed_ratio(second: str, of_ratio: bool):
     """Driving in which the exhaust is hotter and colder at equal speed and pressures."""
