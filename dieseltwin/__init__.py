@@ -78,14 +78,22 @@ def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
 
 
-class _EnginePackage(ModuleType):
+class _Imported(ModuleType):
+    """A module of a class of its own, which cloudpickle doesn't know as one: functions of a script that use it go to
+    the processes of joblib, Dask or Ray."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return import_module, (self.__name__,)
+
+
+class _EnginePackage(_Imported):
     """`dieseltwin.engine`: a package that, called, is the front door's function: `engine("we2011")`."""
 
     def __call__(self, *source: Any, **changes: Any) -> Any:
         return _of_the_front_door("engine", "engines")(*source, **changes)
 
 
-class _Package(ModuleType):
+class _Package(_Imported):
     """This package. The import system sets a package's sub-packages as its attributes; that of `engine` is callable."""
 
     def __setattr__(self, name: str, value: Any) -> None:

@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import cloudpickle
 import numpy as np
 import pandas as pd
 import pytest
@@ -16,7 +17,7 @@ from mypy import api as mypy
 
 import dieseltwin as dt
 from dieseltwin.api.reading import Made
-from dieseltwin.engine import we2011
+from dieseltwin.engine import HEALTH, we2011
 from dieseltwin.engine.terms import Term
 from dieseltwin.errors import InputError
 from dieseltwin.petrol.parameters import PetrolParameters, save_petrol
@@ -139,6 +140,18 @@ def test_what_was_read_goes_to_another_process_and_stays_unchangeable(
 
 
 # --- simulate
+
+
+def test_a_function_of_a_script_goes_to_another_process() -> None:
+    """joblib, Dask and Ray send functions of `__main__` by value, with the modules that they use."""
+    space: dict[str, object] = {"dt": dt, "__name__": "__main__"}
+    exec("def published():\n    return dt.engine('we2011').V_d, dt.engine.HEALTH\n", space)
+    sent = cloudpickle.dumps(space["published"])
+    code = "import pickle, sys; print(pickle.loads(sys.stdin.buffer.read())())"
+    done = subprocess.run([sys.executable, "-c", code], input=sent, capture_output=True, check=True)
+    assert done.stdout.decode().strip() == str((we2011.PARAMETERS.V_d, HEALTH))
+    assert pickle.loads(pickle.dumps(dt)) is dt and pickle.loads(pickle.dumps(dt.engine)) is dt.engine
+    assert copy.deepcopy({"module": dt})["module"] is dt
 
 
 def test_simulating_a_file_a_table_and_a_recording_is_the_same(trace: pd.DataFrame, tmp_path: Path) -> None:
