@@ -155,10 +155,15 @@ def as_it_stands(store: History, settings: WatchConfig | None) -> Watched:
     """What a history says, also one that holds no recording yet; arguments as of `watch`."""
     settings = default_watch() if settings is None else settings
     entries = store.entries()
-    found = course([entry.scores for entry in entries], [entry.moment for entry in entries], settings)
+    found = _course(entries, settings)
     taken = store.taken_out()
     every = sorted([*entries, *(out.entry for out in taken)], key=lambda entry: (entry.date, entry.sha256))
     with_them = None
     if taken:
-        with_them = course([entry.scores for entry in every], [entry.moment for entry in every], settings)
+        with_them = _course(every, settings)
     return Watched(entries, found, settings.alarms_per_year, taken_out=taken, course_with_them=with_them)
+
+
+def _course(entries: Sequence[Entry], settings: WatchConfig) -> Course:
+    return course([entry.scores for entry in entries], [entry.moment for entry in entries], settings,
+                  [entry.named for entry in entries])  # fmt: skip

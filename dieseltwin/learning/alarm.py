@@ -16,7 +16,7 @@ doesn't matter.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
@@ -69,7 +69,9 @@ class Alarm:
 
     Attributes:
         at: number of that recording in time order.
-        name, site, unit: of the likeliest effect; share: of the evidence that it has.
+        name, site, unit: of the likeliest effect; share: of the evidence that it has; shown: how many recordings since
+            its beginning name it by themselves. Evidence adds up linear estimates, which a strong fault bends: where
+            all recordings that name something by themselves agree, that is the likeliest.
         others: names of further effects that have at least a tenth of the evidence.
         size, std: of it, at that recording [unit].
         grows: whether growth explains it better than one size since its beginning.
@@ -97,6 +99,7 @@ class Alarm:
     sizes: Array
     stds: Array
     gone: int | None = None
+    shown: int = 0
 
 
 @dataclass(frozen=True)
@@ -133,13 +136,15 @@ class _OfEffect:
 
 
 def course(
-    scores: Sequence[Sequence[Score]], dates: Sequence[datetime], settings: WatchConfig
-) -> Course:
+    scores: Sequence[Sequence[Score]], dates: Sequence[datetime], settings: WatchConfig,
+    named: Sequence[Collection[str]] = (),
+) -> Course:  # fmt: skip
     """Evidence after each of n recordings, and the first alarm.
 
     Args:
         scores: of each recording; dates: of each, ascending.
         settings: rate of false alarms, what faults are like, and how much recordings scatter.
+        named: the effects that each recording shows by itself; none where that isn't known. They raise no alarm.
     """
     threshold = 1.0 / settings.alarms_per_year
     count = len(scores)
@@ -155,7 +160,7 @@ def course(
     evidence = np.exp(np.minimum(logsumexp(np.stack([e.counted + weights for e in effects]), axis=(0, 2, 3)), 700.0))
     for at in np.flatnonzero(evidence >= threshold):
         weighted = np.stack([item.whole[at] + weights[at] for item in effects])
-        alarm = _alarm(int(at), effects, weighted, scores, dates, float(evidence[at]), settings)
+        alarm = _alarm(int(at), effects, weighted, scores, dates, float(evidence[at]), settings, named)
         if alarm is not None:
             return Course(evidence, threshold, alarm)
     return Course(evidence, threshold, None)
@@ -206,12 +211,16 @@ def _log_ratio(mean: Array, std: Array, spread: Array, effect: Score) -> Array:
 
 def _alarm(
     at: int, effects: Sequence[_OfEffect], weighted: Array, scores: Sequence[Sequence[Score]],
-    dates: Sequence[datetime], evidence: float, settings: WatchConfig,
+    dates: Sequence[datetime], evidence: float, settings: WatchConfig, named: Sequence[Collection[str]],
 ) -> Alarm | None:  # fmt: skip
     """What the evidence (H, 2, K) after a recording says; None where its size is below what is of interest."""
     shares = np.exp(weighted - logsumexp(weighted))
     of_effects = shares.sum(axis=(1, 2))
     best = int(np.argmax(of_effects))
+    first = divmod(int(np.argmax(shares[best])), shares[best].shape[1])[1]
+    judged = [set(names) for names in named[first : at + 1] if names]
+    agreed = set.intersection(*judged) if judged else set()
+    best = max(range(len(effects)), key=lambda k: (effects[k].score.name in agreed, of_effects[k]))
     lead = effects[best]
     kind, day = divmod(int(np.argmax(shares[best])), shares[best].shape[1])
     size, std = float(lead.size[at, kind, day]), float(lead.std[at, kind, day])
@@ -227,7 +236,7 @@ def _alarm(
     return Alarm(
         at, lead.score.name, lead.score.site, lead.score.unit, float(of_effects[best]), tuple(others), size, std, grows,
         dates[max(day - grows, 0)], dates[max(early - 1, 0)], dates[max(min(late, at) - grows, 0)], evidence, sizes,
-        stds, _gone(at, size, sizes, stds),
+        stds, _gone(at, size, sizes, stds), sum(lead.score.name in names for names in judged),
     )  # fmt: skip
 
 

@@ -45,6 +45,10 @@ _TAKEN_OUT = (  # made with the first recording that is taken out: most historie
 )
 
 
+HEALTHY, AND = "healthy", " + "
+"""A verdict without an effect, and what stands between those of one."""
+
+
 @dataclass(frozen=True)
 class Entry:
     """One recording of a history.
@@ -77,6 +81,11 @@ class Entry:
     sentence: str
     rows_sha256: str = ""
     rows_sketch: str = ""
+
+    @property
+    def named(self) -> tuple[str, ...]:
+        """What the recording shows by itself; nothing where it is healthy."""
+        return () if self.verdict == HEALTHY else tuple(self.verdict.split(AND))
 
     @property
     def moment(self) -> datetime:

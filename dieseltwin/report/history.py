@@ -36,6 +36,9 @@ def sentence(entries: Sequence[Entry], course: Course, alarms_per_year: float) -
                 f"{course.threshold:g} is an alarm ({rate}); wear of the health parameters is no alarm{alone}.")
     size = magnitude_words(alarm.name, alarm.size, alarm.std, alarm.unit, extra=False)
     or_others = f" or {', '.join(alarm.others)}" if alarm.others else ""
+    why = f"{100 * alarm.share:.0f} % of the evidence"
+    if alarm.shown:
+        why = f"{counted(alarm.shown, 'recording')} {'show' if alarm.shown > 1 else 'shows'} it alone; {why}"
     way = "growing since" if alarm.grows else "there since"
     perhaps = ""
     if alarm.earliest.date() != alarm.latest.date():
@@ -45,7 +48,7 @@ def sentence(entries: Sequence[Entry], course: Course, alarms_per_year: float) -
     alone = "" if expected else f"; the last recording by itself shows {last}"
     return (
         f"Alarm with the recording of {entries[alarm.at].moment:{_DAY}}: in {site_words(alarm.site)} something has "
-        f"changed, most likely {alarm.name} ({100 * alarm.share:.0f} % of the evidence){or_others}, about {size} by "
+        f"changed, most likely {alarm.name} ({why}){or_others}, about {size} by "
         f"then, {way} {alarm.since:{_DAY}}{perhaps}{_afterwards(alarm, entries)}{alone}; {span}; {rate}. "
         "`dieseltwin discover` on these recordings together says what it is."
     )

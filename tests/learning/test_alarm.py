@@ -86,6 +86,24 @@ def test_growth_is_dated_to_the_recording_from_which_on_it_grows():
     assert found.earliest <= found.since <= found.latest
 
 
+def test_what_recordings_show_by_themselves_names_the_alarm():
+    """Two recordings with a leak of 30 mm2, each a boost leak by itself, were a loss of the compressor together."""
+    other = next(name for name in NAMES if name != "boost_leak")
+    scores = with_fault(histories(1, 12, 8)[0], "boost_leak", [0.0] * 6 + [25e-6] * 6)
+    scores = with_fault(scores, other, [0.0] * 6 + [50e-6] * 6)  # as a strong fault bends the linear estimates
+
+    def said(*later: tuple[str, ...]) -> tuple[str, int]:
+        found = course(scores, dates(12, 1.0), SETTINGS, [(), ("boost_leak",), *[()] * 4, *later]).alarm
+        assert found is not None and found.at == without.at
+        return found.name, found.shown
+
+    without = course(scores, dates(12, 1.0), SETTINGS).alarm
+    assert without is not None and without.name == other and without.shown == 0
+    assert said(*[("boost_leak",)] * 6) == ("boost_leak", without.at - 5)
+    assert said(("boost_leak",), ("none_of_these",), *[("boost_leak",)] * 4)[0] == other
+    assert said(*[()] * 6) == (other, 0)
+
+
 def test_what_was_mended_is_gone():
     found = _found([0.0] * 4 + [25e-6] * 4 + [0.0] * 3).alarm
     assert found is not None and found.gone == 8
