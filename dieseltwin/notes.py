@@ -21,8 +21,10 @@ class Note(str):
             replayed_channel, clipped_channel, spikes, short, wrong_engine, reading (what was done to the file),
             reference (about what was learned), dates (of several recordings), long (a part was
             judged), out_of_time, false_alarms (of a calibration on pieces without fault),
-            circumstances (what a recording doesn't say, found from the recording itself),
-            wrong_column (of the weather), long_steps (of a rig's integration).
+            circumstances (what a recording doesn't say, found from the recording itself), not_recorded,
+            wrong_column (of the weather), long_steps (of a rig's integration), hold (of its inputs between rows),
+            terms_left_out (of the engine file), next_effect (what else there may be), health_or_law (which of the two
+            changed).
         affects: columns, or segments, that it is about; none: the whole answer.
     """
 

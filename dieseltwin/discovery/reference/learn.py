@@ -40,7 +40,7 @@ _STUCK = 0.05  # promised decrease an unknown that counts as none where no step 
 _SIFTED = 3  # times that windows are looked at for what doesn't act linearly, where the fit doesn't come to rest
 _SHRINKS = (1.0, 0.4, 0.16, 0.064)
 _DAMPINGS = (0.01, 0.1, 1.0)  # of an unknown's own information
-_LEAST_INFORMATION = 1e-6  # of an effect's own, that is no coordinate's
+_LEAST_INFORMATION = 1e-6  # of an effect's information, that must be left when all coordinates are taken out
 
 
 @dataclass(frozen=True)

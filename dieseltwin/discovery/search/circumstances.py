@@ -31,8 +31,8 @@ from dieseltwin.recordings.circumstances import DRIFT, SCALE, TIME_SHIFT, Circum
 
 ROUNDS = 3  # of looking again under what was found
 
-_MOVED = 0.6  # the same of what is open anyway: it is taken linearly up to here
-_MOVED_UNREAD = 0.15  # of ambient or charge that no column gives: 3.6 kPa and 10 K away health was off by 6 deviations
+_MOVED = 0.6  # standard deviations of its prior, up to which a circumstance is taken linearly
+_MOVED_UNREAD = 0.15  # the same of ambient or charge without a column: 3.6 kPa and 10 K away health was off by 6 std
 _BESIDE = 2.0  # times as far beside an effect
 _LINEAR = 0.7  # of a gain that shifts reach by simulation, at least, is seen in their responses
 _UNSETTLED = 0.03  # of a prior's standard deviation (0.2 kPa, 0.5 K): beside a name weather is followed up to here
@@ -178,8 +178,11 @@ def _bar(item: Circumstance) -> float:
 
 
 def _bar_beside(item: Circumstance) -> float:
-    """The same beside an effect, which bends them where it is the wrong one, and the charge most readily: beside one in
-    the place of a leak that was withheld it went 3 K away, and the leak's law left more than half of the misfit."""
+    """The same beside an effect.
+
+    A wrong effect bends the circumstances, and the charge most readily: in the place of a leak that was withheld one
+    moved it by 3 K, and the leak's law left more than half of the misfit.
+    """
     return _BESIDE * (_MOVED_UNREAD if item.plain in AMBIENT and not item.read else _MOVED)
 
 

@@ -40,7 +40,7 @@ from dieseltwin.settings.search import SearchSettings
 _POSITIONS = np.array([0.1, 3.0, 10.0, 20.0, 25.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0, 90.0, 100.0])  # tried first [%]
 _TURNS = 4  # of health and span, until the span stays
 _ROUNDS = 6
-_BELIEF = 10.0  # times what health costs away from the file's, where nothing else tells a position
+_BELIEF = 10.0  # times the cost of health away from the file's, while nothing else says where the valve stands
 _STARTS = 5  # positions from which one is fitted
 _EDGE_SHARE = 0.02  # of what one span gains, that another edge must: a first guess of health is wrong in some windows
 _END_SHARE = 0.25  # of the recording, at either end, that health is guessed from

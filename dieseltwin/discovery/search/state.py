@@ -25,13 +25,30 @@ from dieseltwin.settings.search import SearchSettings
 class Search:
     """Everything that the search found out.
 
-    `null` is the health-only fit, `best` the explanation; `second_effect_gain` is what the best second effect would
-    gain beside the best single one (None: not looked at), `spreads` which share of it each second effect keeps without
-    its best window. `standing`: nearly all is explained by a valve that stands still, found before anything was scored.
-    `stage` is what is looked at, `unfinished` the stages that no time was left for. `widening` is the factor of the
-    variances of `best` beyond its own fit's. `unsettled` are the explanations that led in turns when the likelihood was
-    renewed about the leading one; none where it stayed the same. `earlier` are the searches up to single effects under
-    the circumstances that were thought of before.
+    Attributes:
+        twin, settings: what is searched, and the thresholds.
+        noise, whitening, scatter: of the readings, and what they scatter by beside their noise.
+        null: health-only fit.
+        nuisances: tolerances of maps, sensors and circumstances about it.
+        scored, chance: linear estimates of all effects, and the largest gain of them by chance.
+        singles, pairs, variants: refits of one effect, of two, of one that acts at times or in a region, best first.
+        scanned: linear estimates of the last.
+        second_effect_gain: of the best second effect beside the best single one; None: not looked at.
+        spreads: which share of it each second effect keeps without its best window.
+        structure, local: terms without a name, and bumps over arguments of maps, at the health-only fit.
+        left, left_local: the same beside the explanation.
+        best: the explanation, linearised; None where something has no name.
+        widening: factor of the variances of `best` beyond its own fit's.
+        kind: of the explanation: "healthy", "single", "pair", "variant" or "law".
+        probabilities, equivalent: of the names of that kind, and which can't be told apart.
+        variant, law: where the kind is that.
+        refused: kind of the explanation by name that was refused; "" for none.
+        left_out: (W,) windows that don't count.
+        seconds: stage -> time that it took [s].
+        standing: nearly all is explained by a valve that stands still, found before anything was scored.
+        stage, unfinished: what is looked at, and the stages that no time was left for.
+        unsettled: explanations that led in turns when the likelihood was renewed about the leading one.
+        earlier: searches up to single effects under circumstances that were thought of before.
     """
 
     twin: Twin
