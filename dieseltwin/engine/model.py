@@ -119,7 +119,7 @@ def added(quantity: Array, signal: Array) -> Array:
 
 
 def driven(x: OperatingPoint, m: Magnitudes, s: Signals, c: Constants) -> OperatingPoint:
-    """The operating point with injected mass [mg/cycle] and actuator positions [%] as they really are."""
+    """The operating point with injected mass [mg/cycle], no less than none, and actuator positions [%] as they are."""
     u_delta = at_u_delta(maximum(relative(x.u_delta, s.u_delta), 0.0), x, m, c)
     u_egr = at_u_egr(added(x.u_egr, s.u_egr), x, m, c)
     u_vgt = at_u_vgt(added(x.u_vgt, s.u_vgt), x, m, c)

@@ -23,7 +23,7 @@ LAGS_S = (0.4, 2.0, 8.0)
 _OF_SPEED = (2.0, 3.0)  # powers lost to bearings and to a fluid that is stirred
 _LOCAL_WIDTHS = (0.12,)  # of the range driven; the law search has finer ones
 _RAREST = 12.0  # largest value of a signal of unit mean square: what acts on fewer samples hangs on a moment
-_WIDE = 0.4  # of its size, standard deviation of a quantity whose change by an amount is none by a share
+_WIDE = 0.4  # standard deviation over size, above which a change by an amount is none by a share
 _STEP = 0.005  # of a point's scale: small enough to be linear
 _MATTERS = 3.0  # gain by responses at another fit from which a feature is simulated: a third of what chance leaves
 # of a feature's length that parameters and effects of the fit must leave: what is left of a term that is one of them is
