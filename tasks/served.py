@@ -6,14 +6,16 @@ end with it: what is finished is kept.
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
 import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from datetime import datetime
+from datetime import UTC, datetime
 from types import FrameType
 from typing import Any
 
@@ -22,7 +24,8 @@ from tasks.failures import INTERRUPTED, INTERRUPTED_CODE
 from tasks.launch import check_start
 from tasks.run_context import StepFailed
 from tasks.server import ServerFailed, prefect_server
-from tasks.workspace import prepare_environment
+from tasks.store import host
+from tasks.workspace import Workspace, prepare_environment
 
 # Set for the process that is the runner.
 _RUNNER = "DIESELTWIN_RUNNER"
@@ -98,8 +101,42 @@ def _runner() -> Iterator[subprocess.Popen[bytes]]:
 def _run_when_due(flow: Any, cron: str, parameters: dict[str, Any]) -> int:
     """What the runner's process does: its group, with the run in it, ends with its parent."""
     threading.Thread(target=_end_group_with_parent, daemon=True).start()
-    flow.serve(name="scheduled", cron=cron, parameters=parameters, limit=1, print_starting_message=False)
+    name = deployment_name(flow.name, parameters)
+    _forget_missed(f"{flow.name}/{name}")
+    flow.serve(name=name, cron=cron, parameters=parameters, limit=1, print_starting_message=False)
     return 0
+
+
+def deployment_name(flow: str, parameters: Mapping[str, Any]) -> str:
+    """A name for each flow, its parameters and the place from which it was started, where the paths among them count.
+
+    Two schedules of one name would be one for Prefect: the later one's parameters would hold for both.
+    """
+    place = [host(), str(Workspace.current().root), os.getcwd()]
+    told = json.dumps([flow, parameters, place], sort_keys=True, default=str)
+    return f"scheduled-{hashlib.sha256(told.encode()).hexdigest()[:10]}"
+
+
+def _forget_missed(deployment: str) -> None:
+    """Remove the runs of a deployment that were due while nobody ran them: one run does the work of all of them."""
+    from prefect.client.orchestration import get_client
+    from prefect.client.schemas import StateType, filters
+    from prefect.exceptions import ObjectNotFound
+
+    with get_client(sync_client=True) as client:
+        try:
+            found = client.read_deployment_by_name(deployment)
+        except ObjectNotFound:
+            return
+        waiting = filters.FlowRunFilter(
+            state=filters.FlowRunFilterState(type=filters.FlowRunFilterStateType(any_=[StateType.SCHEDULED])),
+            next_scheduled_start_time=filters.FlowRunFilterNextScheduledStartTime(before_=datetime.now(UTC)),
+        )
+        its_own = filters.DeploymentFilter(id=filters.DeploymentFilterId(any_=[found.id]))
+        while missed := client.read_flow_runs(flow_run_filter=waiting, deployment_filter=its_own):
+            for run in missed:
+                with suppress(ObjectNotFound):  # another process was first
+                    client.delete_flow_run(run.id)
 
 
 def _end_group_with_parent() -> None:
