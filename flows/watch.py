@@ -1,10 +1,11 @@
-"""New recordings of a folder -> the history of their engine, its page, MLflow; once, or ``--serve`` on a schedule."""
+"""New recordings of a folder -> the history of their engine, its page, MLflow; once, or ``--serve`` on a schedule
+(``watch.schedule`` of params.yaml where none is named)."""
 
 from __future__ import annotations
 
-import argparse
 import sys
 from pathlib import Path
+from typing import Any
 
 from prefect import flow
 
@@ -12,10 +13,10 @@ from tasks import discover
 from tasks import records_watch as records
 from tasks import watch as steps
 from tasks.cluster import task_runner
-from tasks.launch import run_alone
+from tasks.launch import check_place
 from tasks.prefect_task import submit
-from tasks.served import serve, tell_failure
-from tasks.settings import DEFAULT_PROFILE, load_settings
+from tasks.served import run_or_serve, tell_failure
+from tasks.settings import load_settings
 
 
 @flow(
@@ -31,6 +32,7 @@ def watch(profile: str, folder: str, engine: str, history: str) -> list[str]:
     Those that are no good stop none; they end the flow behind all others.
     """
     settings = load_settings(profile)
+    check_place()
     files = steps.engine_files(engine)
     arrived = steps.arrived(folder, engine, history)
     pending = {
@@ -58,28 +60,11 @@ def watch(profile: str, folder: str, engine: str, history: str) -> list[str]:
 
 def main() -> int:
     """Command line."""
-    parser = argparse.ArgumentParser(add_help=False)
-    parser.add_argument("--serve", action="store_true")
-    parser.add_argument("--cron")
-    chosen, rest = parser.parse_known_args()
-    if chosen.cron is not None and not chosen.serve:
-        parser.error("--cron: a schedule needs --serve")
-    if not chosen.serve:
-        return run_alone(watch, rest, options=_options, check=steps.check)
-    full = argparse.ArgumentParser(description=__doc__)
-    full.add_argument("--profile", default=DEFAULT_PROFILE, help="a profile of params.yaml")
-    _options(full)
-    arguments = vars(full.parse_args(rest))
-
-    def cron() -> str:
-        return str(chosen.cron or load_settings(arguments["profile"])["watch"]["schedule"])
-
-    return serve(watch, cron, check=steps.check, **arguments)
+    return run_or_serve(watch, _schedule, options=steps.options, check=steps.check)
 
 
-def _options(parser: argparse.ArgumentParser) -> None:
-    steps.options(parser)
-    parser.epilog = "--serve stays and runs on the schedule: --cron, five fields, else watch.schedule of params.yaml"
+def _schedule(parameters: dict[str, Any]) -> str:
+    return str(load_settings(parameters["profile"])["watch"]["schedule"])
 
 
 if __name__ == "__main__":

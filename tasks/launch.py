@@ -14,7 +14,6 @@ import threading
 import time
 import warnings
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from types import FrameType
 from typing import Any
 
@@ -109,15 +108,29 @@ def run_alone(
     options: Callable[[argparse.ArgumentParser], None] | None = None,
     check: Callable[[dict[str, Any]], None] | None = None,
 ) -> int:
-    """``python -m flows.NAME --profile quick|paper``: one flow as a command. Returns the exit status.
+    """``python -m flows.NAME --profile NAME``: one flow as a command. Returns the exit status.
 
     ``options`` adds what else the flow takes, under the names of its parameters; ``check`` raises where they are wrong.
     """
-    parser = argparse.ArgumentParser(description=flow.__doc__)
-    parser.add_argument("--profile", default=DEFAULT_PROFILE, help="a profile of params.yaml: quick or paper")
+    return start(flow, vars(command_line(flow, options).parse_args(arguments)), check)
+
+
+def command_line(
+    flow: Callable[..., Any], options: Callable[[argparse.ArgumentParser], None] | None = None
+) -> argparse.ArgumentParser:
+    """What every flow's command takes, and ``options``; its help begins with the flow's description."""
+    parser = argparse.ArgumentParser(description=str(getattr(flow, "description", "")).replace("``", ""))
+    told = "a profile of params.yaml: quick, paper, or tiny (quick with the smallest benchmark)"
+    parser.add_argument("--profile", default=DEFAULT_PROFILE, help=f"{told}; default: {DEFAULT_PROFILE}")
     if options is not None:
         options(parser)
-    parameters = vars(parser.parse_args(arguments))
+    return parser
+
+
+def start(
+    flow: Callable[..., Any], parameters: dict[str, Any], check: Callable[[dict[str, Any]], None] | None = None
+) -> int:
+    """Check what the user can mend, then run the flow. Returns the exit status."""
     try:
         check_start(parameters, check)
     except (run_context.StepFailed, InputError) as error:
@@ -133,11 +146,15 @@ def check_start(parameters: dict[str, Any], check: Callable[[dict[str, Any]], No
     databases.check_settings()
     if check is not None:
         check(parameters)
-    _check_place(run_context.current().workspace.root)
+    check_place()
 
 
-def _check_place(root: Path) -> None:
-    """Raise ``InputError`` where a run cannot write its results or has no room for them."""
+def check_place() -> None:
+    """Raise ``InputError`` where a run cannot write its results or has no room for them.
+
+    Flows of a schedule ask for it themselves: weeks may lie between its start and a run.
+    """
+    root = run_context.current().workspace.root
     check_writable(root / "probe")
     free = shutil.disk_usage(root).free
     if free < _ROOM_BYTES:

@@ -6,6 +6,7 @@ end with it: what is finished is kept.
 
 from __future__ import annotations
 
+import argparse
 import hashlib
 import json
 import os
@@ -21,7 +22,7 @@ from typing import Any
 
 from dieseltwin.errors import InputError
 from tasks.failures import INTERRUPTED, INTERRUPTED_CODE
-from tasks.launch import check_start
+from tasks.launch import check_start, command_line, start
 from tasks.run_context import StepFailed
 from tasks.server import ServerFailed, prefect_server
 from tasks.store import host
@@ -43,6 +44,31 @@ def tell_failure(flow: Any, flow_run: Any, state: Any) -> None:
         return
     reason = str(state.message or state.name).removeprefix(_BEFORE_REASON).splitlines()[0]
     print(f"{datetime.now():%Y-%m-%d %H:%M:%S} {flow.name} failed: {reason}", file=sys.stderr, flush=True)
+
+
+def run_or_serve(
+    flow: Any,
+    cron: Callable[[dict[str, Any]], str],
+    *,
+    options: Callable[[argparse.ArgumentParser], None] | None = None,
+    check: Callable[[dict[str, Any]], None] | None = None,
+) -> int:
+    """``python -m flows.NAME [--serve [--cron CRON]]``: one flow as a command, once or on a schedule. Returns the exit
+    status.
+
+    ``cron`` gives the schedule where the user names none, from the parameters; ``options`` and ``check`` as of
+    ``run_alone``.
+    """
+    parser = command_line(flow, options)
+    parser.add_argument("--serve", action="store_true", help="stay and run on the schedule")
+    parser.add_argument("--cron", help="schedule of --serve, five fields, such as '0 * * * *' for every hour")
+    parameters = vars(parser.parse_args())
+    served, given = parameters.pop("serve"), parameters.pop("cron")
+    if given is not None and not served:
+        parser.error("--cron: a schedule needs --serve")
+    if not served:
+        return start(flow, parameters, check)
+    return serve(flow, lambda: cron(parameters) if given is None else given, check=check, **parameters)
 
 
 def serve(

@@ -93,9 +93,12 @@ def _wait_until_up(server: subprocess.Popen[bytes], address: str, log: Path) -> 
     deadline = time.monotonic() + _START_TIMEOUT_S
     while time.monotonic() < deadline:
         if server.poll() is not None:
-            said = f"the Prefect server ended with status {server.returncode}: {_last_line(log)} (log in {log})"
-            raise ServerFailed(f"{said}; where its database is broken, move prefect.db beside the log away: no result "
-                               "is in it")  # fmt: skip
+            last = _last_line(log)
+            advice = "where its database is broken, move prefect.db beside the log away: no result is in it"
+            if "disk is full" in last or "No space left" in last:
+                advice = "free some space"
+            said = f"the Prefect server ended with status {server.returncode}: {last} (log in {log})"
+            raise ServerFailed(f"{said}; {advice}")
         try:
             with urllib.request.urlopen(f"{address}/health", timeout=2.0):
                 return

@@ -1,13 +1,17 @@
-"""Schedules of one Prefect database: each has a name of its own, and what was due while nothing ran isn't caught up."""
+"""Flows with a schedule: what is checked before they start, their help, a name of its own for each schedule."""
 
 from __future__ import annotations
 
+import importlib
+import shutil
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import tiny_settings
 
+from dieseltwin.errors import InputError
 from tasks import served
 
 LORRY_7 = {"profile": "tiny", "folder": "in", "engine": "mine.yaml", "history": "lorry_7"}
@@ -57,3 +61,53 @@ def test_a_second_schedule_leaves_the_first_one_alone_and_missed_runs_are_forgot
     assert sorted(left, key=str) == sorted(
         [(found[0].id, "to come"), *((found[1].id, name) for name in due)], key=str
     )
+
+
+@pytest.mark.parametrize("serve", [[], ["--serve"]])
+@pytest.mark.parametrize(
+    ("arguments", "cluster", "free", "said"),
+    [
+        (["--profile", "none"], "", 1e12, "profile"),
+        (["--profile", "tiny"], "foo", 1e12, "DIESELTWIN_CLUSTER: got 'foo'"),
+        (["--profile", "tiny"], "", 3e6, "got 3 MB free; allowed: 500 MB; free some space"),
+    ],
+)
+def test_retraining_does_not_start_with_what_the_user_can_mend(
+    serve: list[str], arguments: list[str], cluster: str, free: float, said: str,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    from flows.retrain import main
+
+    tiny_settings.write_params(tmp_path)
+    tiny_settings.new_context(tmp_path)
+    monkeypatch.setenv("DIESELTWIN_CLUSTER", cluster)
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=free))
+    monkeypatch.setattr("sys.argv", ["retrain", *arguments, *serve])
+    assert main() == 2
+    error = capsys.readouterr().err
+    assert error.startswith("error: ") and said in error and error.count("\n") == 1
+
+
+def test_a_run_of_a_schedule_looks_at_the_disk_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from flows.retrain import retrain
+    from flows.watch import watch
+
+    tiny_settings.write_params(tmp_path)
+    tiny_settings.new_context(tmp_path)
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=3e6))
+    for run in (lambda: retrain.fn("tiny"), lambda: watch.fn("tiny", "in", "mine.yaml", "lorry_7")):
+        with pytest.raises(InputError, match="got 3 MB free"):
+            run()
+
+
+@pytest.mark.parametrize("flow", ["watch", "retrain"])
+def test_the_help_names_the_schedule_and_every_profile(
+    flow: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.argv", [flow, "--help"])
+    with pytest.raises(SystemExit, match="0"):
+        importlib.import_module(f"flows.{flow}").main()
+    printed = capsys.readouterr().out
+    usage, _, told = printed.partition("\n\n")
+    assert "--serve" in usage and "--cron" in usage
+    assert "quick, paper, or tiny" in " ".join(told.split()) and "``" not in told
