@@ -9,12 +9,14 @@ Files (results, figures, networks) lie in the workspace either way.
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import os
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TextIO
 
 from tasks.failures import StepFailed
 
@@ -26,6 +28,11 @@ _ADDRESS = re.compile(r"postgresql://[^/@\s]*(:[^/@\s]*)?@?[^/@\s]+/[^/\s]+")
 _PASSWORD = re.compile(r"(//[^:]*:).*(?=@)", re.DOTALL)  # up to the last @: it may hold any of / : @
 _CONNECT_S = 5
 _THEIRS = {"mlflow", "sqlalchemy", "alembic", "sqlite3", "psycopg", "prefect", "httpx"}  # packages of errors
+_OF_THE_DISK = {
+    errno.ENOSPC: "free some space", errno.EDQUOT: "free some space", errno.EROFS: "make it writable",
+    errno.EACCES: "make it writable", errno.EPERM: "make it writable", errno.EIO: "look after the disk",
+}  # fmt: skip
+_FULL, _READ_ONLY = "disk is full", "readonly database"  # SQLite's words
 _LOCK = 20250  # of PostgreSQL's advisory locks: any number that is ours
 
 
@@ -63,7 +70,8 @@ def check_settings() -> None:
 
 
 def failure(error: BaseException, mlflow_uri: str) -> str | None:
-    """One line for an error of MLflow's or Prefect's database or of the server before it; None for any other.
+    """One line for an error of MLflow's or Prefect's database or of the server before it, of the disk or of the memory;
+    None for any other.
 
     What was computed lies in the cache and in the published folders by then, so the next run goes on from there.
     """
@@ -72,12 +80,17 @@ def failure(error: BaseException, mlflow_uri: str) -> str | None:
                 "What was computed is kept, run again")  # fmt: skip
     if isinstance(error, MemoryError):
         return "out of memory; what was computed is kept: run again where there is more"
+    if isinstance(error, OSError) and error.errno in _OF_THE_DISK:
+        place = "the disk" if error.filename is None else str(error.filename)
+        return f"{place}: {error.strerror}; what was computed is kept: {_OF_THE_DISK[error.errno]}, and run again"
     if not {base.__module__.partition(".")[0] for base in type(error).__mro__} & _THEIRS:
         return None
     whose = f"MLflow's database {shown(mlflow_uri)}" if _is_mlflows(error) else "Prefect's server (.prefect/server.log)"
     said = " ".join(str(error).partition("[SQL")[0].split())[:150] or type(error).__name__
-    return (f"{whose}: {said}; what was computed is kept: free the database, or move it away to start a new one, "
-            "and run again")  # fmt: skip
+    advice = "free the database, or move it away to start a new one"
+    if _FULL in said or _READ_ONLY in said:
+        advice = _OF_THE_DISK[errno.ENOSPC if _FULL in said else errno.EROFS]
+    return f"{whose}: {said}; what was computed is kept: {advice}, and run again"
 
 
 def _is_mlflows(error: BaseException) -> bool:
@@ -88,7 +101,7 @@ def _is_mlflows(error: BaseException) -> bool:
 @contextmanager
 def one_at_a_time(variable: str, file: Path) -> Iterator[None]:
     """Two writers at once would both make the tables: a lock of the server's where a setting names one, which holds
-    across machines, else of a file. Either goes with the process."""
+    across machines, else of a file. Either goes with the process. Who may not write there can read without one."""
     given = os.environ.get(variable, "")
     if given:
         import psycopg
@@ -98,9 +111,22 @@ def one_at_a_time(variable: str, file: Path) -> Iterator[None]:
             yield
         return
     file.parent.mkdir(parents=True, exist_ok=True)
-    with file.open("a") as opened:
+    opened = _opened(file)
+    if opened is None:
+        yield
+        return
+    with opened:
         fcntl.flock(opened, fcntl.LOCK_EX)
         try:
             yield
         finally:
             fcntl.flock(opened, fcntl.LOCK_UN)
+
+
+def _opened(file: Path) -> TextIO | None:
+    try:
+        return file.open("a", encoding="utf-8")
+    except OSError as error:
+        if error.errno not in (errno.EROFS, errno.EACCES):
+            raise
+        return None

@@ -17,7 +17,7 @@ from collections.abc import Callable, Sequence
 from types import FrameType
 from typing import Any
 
-from dieseltwin.atomic import check_writable
+from dieseltwin.atomic import check_folder, check_writable
 from dieseltwin.errors import InputError
 from tasks import databases, records, run_context, workers
 from tasks.cluster import check_setting
@@ -154,8 +154,10 @@ def check_place() -> None:
 
     Flows of a schedule ask for it themselves: weeks may lie between its start and a run.
     """
-    root = run_context.current().workspace.root
+    workspace = run_context.current().workspace
+    root = workspace.root
     check_writable(root / "probe")
+    check_folder(workspace.mlruns)
     free = shutil.disk_usage(root).free
     if free < _ROOM_BYTES:
         raise InputError(

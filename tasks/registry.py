@@ -164,22 +164,25 @@ class Registry:
             client.create_registered_model(NAME, description=_DESCRIPTION)
         return client
 
+    def _aliases(self) -> Mapping[str, str]:
+        """Alias -> version; none where nothing was registered yet. Writes nothing: the store may be read-only."""
+        found = self.tracker.client.search_registered_models(f"name='{NAME}'")
+        return dict(found[0].aliases) if found else {}
+
     def version(self, alias: str) -> Version | None:
         """The version of an alias; None where nothing carries it or where its files are gone or changed.
 
         Raises ``MlflowException`` where the registry cannot be read: that is no answer.
         """
-        client = self.client
-        number = client.get_registered_model(NAME).aliases.get(alias)
-        return None if number is None else self._checked(client.get_model_version(NAME, str(number)))
+        number = self._aliases().get(alias)
+        return None if number is None else self._checked(self.client.get_model_version(NAME, str(number)))
 
     def refusal(self) -> tuple[int, str] | None:
         """Number of the version that was refused last, and why; None where none was."""
-        client = self.client
-        number = client.get_registered_model(NAME).aliases.get(CHALLENGER)
+        number = self._aliases().get(CHALLENGER)
         if number is None:
             return None
-        return int(number), client.get_model_version(NAME, str(number)).tags.get("reason", "for no stated reason")
+        return int(number), self.client.get_model_version(NAME, str(number)).tags.get("reason", "for no stated reason")
 
     def register(self, networks: Artifact, model: Artifact, experiment_id: str, tags: Mapping[str, str]) -> Version:
         """The version of these networks, made if it is new; the files of the model that holds them are copied beside

@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 from tasks import databases
-from tasks.listening import listening
+from tasks.listening import answered, listening
 from tasks.registry import CHAMPION, NAME, Registry
 from tasks.tracking import Tracker
 from tasks.workspace import prepare_environment
@@ -47,4 +47,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(answered(main))

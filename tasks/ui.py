@@ -6,7 +6,7 @@ import os
 import sys
 
 from tasks import evaluation_records
-from tasks.listening import listening
+from tasks.listening import answered, listening
 from tasks.records import EXPERIMENTS
 from tasks.tracking import Tracker
 from tasks.workspace import prepare_environment
@@ -39,4 +39,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(answered(main))

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import socket
 import sqlite3
+import subprocess
+import sys
 import threading
 from pathlib import Path
 
@@ -12,7 +16,7 @@ import pytest
 from tasks import databases
 from tasks.failures import StepFailed
 from tasks.tracking import Record, Tracker
-from tasks.workspace import Workspace, quiet_settings
+from tasks.workspace import PROJECT, Workspace, quiet_settings
 
 
 def test_without_a_setting_both_are_files_of_the_workspace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -60,6 +64,37 @@ def test_errors_of_their_databases_are_one_line_and_others_keep_their_traceback(
     line = databases.failure(RuntimeError("Failed to reach API at http://127.0.0.1:1/api/"), "sqlite://")
     assert line is not None and "server.log" in line
     assert "out of memory" in str(databases.failure(MemoryError(), "sqlite://"))
+
+
+def test_a_disk_that_is_full_or_may_not_be_written_is_one_line_with_its_own_advice() -> None:
+    full = databases.failure(OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "/work/.cache/a"), "sqlite://")
+    assert full == "/work/.cache/a: No space left on device; what was computed is kept: free some space, and run again"
+    fixed = databases.failure(OSError(errno.EROFS, os.strerror(errno.EROFS)), "sqlite://")
+    assert fixed is not None and fixed.startswith("the disk: Read-only file system;") and "make it writable" in fixed
+    assert databases.failure(FileNotFoundError(errno.ENOENT, "No such file", "ours.csv"), "sqlite://") is None
+    advised = {"database or disk is full": "free some space", "attempt to write a readonly database": "make it"}
+    for said, advice in advised.items():
+        line = databases.failure(sqlite3.OperationalError(said), "sqlite://")
+        assert line is not None and f"is kept: {advice}" in line and "move it away" not in line
+
+
+def test_who_may_not_write_beside_a_database_reads_it_without_a_lock() -> None:
+    with databases.one_at_a_time(databases.MLFLOW, Path("/sys/.lock")):  # where nobody may write, root neither
+        pass
+
+
+@pytest.mark.parametrize("command", ["serve_champion", "ui"])
+def test_a_broken_database_is_one_line_of_what_becomes_a_server(command: str, tmp_path: Path) -> None:
+    (tmp_path / "mlruns").mkdir()
+    (tmp_path / "mlruns" / "mlflow.db").write_text("no database at all" * 100)
+    environment = {**os.environ, "DIESELTWIN_WORKSPACE": str(tmp_path)}
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = str(free.getsockname()[1])
+    asked = [sys.executable, "-m", f"tasks.{command}", "--port", port]
+    ended = subprocess.run(asked, cwd=PROJECT, env=environment, capture_output=True, text=True, check=False)
+    assert ended.returncode == 1 and ended.stderr.count("\n") == 1
+    assert ended.stderr.startswith("error: MLflow's database sqlite://") and "not a database" in ended.stderr
 
 
 @pytest.mark.flow
