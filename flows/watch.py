@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 from typing import Any
 
 from prefect import flow
@@ -29,32 +28,20 @@ from tasks.settings import load_settings
 def watch(profile: str, folder: str, engine: str, history: str) -> list[str]:
     """Add what is new. Returns the names of the recordings that were added.
 
-    Those that are no good stop none; they end the flow behind all others.
+    Those that are no good stop none; they end the flow behind all others, the first time.
     """
     settings = load_settings(profile)
     check_place()
-    files = steps.engine_files(engine)
     arrived = steps.arrived(folder, engine, history)
-    pending = {
-        name: submit(
-            steps.watched,
-            recording=recording,
-            kind=Path(name).stem,
-            name=name,
-            modified_s=steps.modified_s(recording.path, name),
-            sections=steps.watched.sections_of(settings),
-            **files,
-        )
-        for name, recording in arrived.new.items()
-    }
+    asked = steps.asked(arrived.new, engine, history, settings)
+    pending = {name: submit(steps.watched, **arguments) for name, arguments in asked.arguments.items()}
     found, refused = discover.gathered(pending)
     refused, growing = steps.parted(refused)
-    left = {**arrived.left, **growing}
     batch = steps.add(found, engine, history, settings["watch"])
     refused = {**refused, **batch.refused}
     if batch.recordings:  # also where nothing is new: an earlier run may have been killed before it logged
         records.watched(batch, found, refused, settings)
-    steps.show(batch, [name for name in found if name not in {*batch.added, *batch.refused}], refused, left)
+    steps.show(batch, asked, list(found), refused, {**arrived.left, **growing})
     return list(batch.added)
 
 

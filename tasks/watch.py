@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import argparse
 import hashlib
+import json
 import time
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from dieseltwin.atomic import write_json
 from tasks.failures import InputChanged, StepFailed
-from tasks.run_context import Progress, current, step
+from tasks.run_context import Progress, current, split_arguments, step
 from tasks.store import Artifact
 
 ENTRY = "entry.json"
+REFUSED = "refused.json"  # beside the history
 PAGE = "history.html"
 
 _SETTLED_S = 30.0  # since a file was last written to: what is still being copied is left for the next time
@@ -71,7 +74,8 @@ class Batch:
 
     ``history``: its name; ``added``: recordings by name that weren't in it; ``recordings``: all that it holds now,
     sha256 of the file -> name; ``sentence``: what it says now; ``page``: file, None of a history without a recording;
-    ``figures``: numbers for the tracker; ``refused``: recordings by name that are in part one of the history.
+    ``figures``: numbers for the tracker; ``refused``: recordings by name that are in part one of the history;
+    ``failed``: those of them that the history's own file is in the way of.
     """
 
     history: str
@@ -81,6 +85,7 @@ class Batch:
     page: Path | None
     figures: Mapping[str, float]
     refused: Mapping[str, StepFailed]
+    failed: frozenset[str] = frozenset()
 
 
 def options(parser: argparse.ArgumentParser) -> None:
@@ -134,15 +139,18 @@ def arrived(folder: str, engine: str, history: str) -> Arrived:
     store, new, left = begun(history, engine), {}, {}
     first: dict[str, str] = {}  # content -> name
     for path in sorted(Path(folder).iterdir()):
-        if path.name.startswith(".") or not path.is_file():
+        if path.name.startswith(".") or path.is_dir():
+            continue
+        if not path.is_file():
+            left[path.name] = "a link to a file that isn't there" if path.is_symlink() else "no file with contents"
             continue
         if path.suffix.lower() not in ENDINGS:
             left[path.name] = f"got the ending {path.suffix or 'of no kind'}; allowed: {' '.join(ENDINGS)}"
             continue
-        if (age_s := _age_s(path)) < _SETTLED_S:
-            left[path.name] = f"written to {age_s:.0f} s ago; taken {_SETTLED_S:.0f} s after the last change"
-            continue
         try:
+            if (age_s := _age_s(path)) < _SETTLED_S:
+                left[path.name] = f"written to {age_s:.0f} s ago; taken {_SETTLED_S:.0f} s after the last change"
+                continue
             artifact = Artifact.of(path.resolve())
         except OSError as error:
             left[path.name] = f"can't be read: {error.strerror or error}"
@@ -167,6 +175,74 @@ def _age_s(path: Path) -> float:
     return max(now - (about.st_mtime if about.st_mtime <= now else about.st_ctime), 0.0)
 
 
+@dataclass(frozen=True)
+class Asked:
+    """Recordings of a folder that are judged now, and what is known of those that were refused.
+
+    ``arguments``: of the step, by name; ``keys``: of the step, by name; ``before``: names of recordings that were
+    refused and told by an earlier run, which aren't judged again; ``told``: sha256 of a recording -> name, why, key of
+    the step that refused it ("" where the history did, which is asked again every time); ``path``: file of ``told``.
+    """
+
+    arguments: Mapping[str, Mapping[str, Any]]
+    keys: Mapping[str, str]
+    before: tuple[str, ...]
+    told: Mapping[str, Mapping[str, str]]
+    path: Path
+
+    def new(self, refused: Mapping[str, StepFailed]) -> dict[str, StepFailed]:
+        """Those of the refused that no earlier run told of."""
+        return {name: error for name, error in refused.items() if self._told(name).get("why") != str(error)}
+
+    def remember(self, refused: Mapping[str, StepFailed], batch: Batch) -> None:
+        """Keep what was told; what went wrong with the tool or the history, not a recording, is told every time."""
+        kept = {
+            self._sha256(name): {
+                "name": name, "why": str(error), "key": "" if name in batch.refused else self.keys[name]
+            }
+            for name, error in refused.items()
+            if error.exit_code == 2 and name not in batch.failed
+        }  # fmt: skip
+        if kept:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            write_json(self.path, {**self.told, **kept})
+
+    def _sha256(self, name: str) -> str:
+        return str(self.arguments[name]["recording"].sha256)
+
+    def _told(self, name: str) -> Mapping[str, str]:
+        return self.told.get(self._sha256(name), {})
+
+
+def asked(new: Mapping[str, Artifact], engine: str, history: str, settings: Mapping[str, Any]) -> Asked:
+    """What is to be judged of the new recordings of a folder: not what this code refused before, under the same name
+    and with the same settings."""
+    path = Path(history) / REFUSED
+    told, files = _read(path), engine_files(engine)
+    arguments, keys, before = {}, {}, []
+    for name, recording in new.items():
+        given = {
+            "recording": recording, "kind": Path(name).stem, "name": name,
+            "modified_s": modified_s(recording.path, name), "sections": watched.sections_of(settings), **files,
+        }  # fmt: skip
+        key = watched.key(current(), *split_arguments(given))
+        if told.get(recording.sha256, {}).get("key") == key:
+            before.append(name)
+        else:
+            arguments[name], keys[name] = given, key
+    return Asked(arguments, keys, tuple(before), told, path)
+
+
+def _read(path: Path) -> dict[str, dict[str, str]]:
+    """What was refused and told; nothing where the file is missing or damaged: it is told once more."""
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    rows = found.items() if isinstance(found, dict) else ()
+    return {sha256: row for sha256, row in rows if isinstance(row, dict)}
+
+
 def parted(refused: Mapping[str, StepFailed]) -> tuple[dict[str, StepFailed], dict[str, str]]:
     """What was refused for good, and what was written to while it was read, as `Arrived.left` says it."""
     growing = {name: str(error) for name, error in refused.items() if isinstance(error, InputChanged)}
@@ -182,7 +258,7 @@ def add(found: Mapping[str, Artifact], engine: str, history: str, settings: Mapp
     from dieseltwin.learning.history import from_json
     from dieseltwin.settings.watch import WatchConfig
 
-    store, added, refused = begun(history, engine), [], {}
+    store, added, refused, failed = begun(history, engine), [], {}, set()
     for recording, artifact in found.items():
         entry = from_json((artifact.path / ENTRY).read_text(encoding="utf-8"))
         if entry is None:
@@ -192,9 +268,11 @@ def add(found: Mapping[str, Artifact], engine: str, history: str, settings: Mapp
                 added.append(recording)
         except InputError as error:
             refused[recording] = StepFailed(str(error), 2)
+            if error.what == str(store.path):
+                failed.add(recording)
     state, name = as_it_stands(store, WatchConfig(**settings)), _name(Path(history).resolve())
     if not state.entries:
-        return Batch(name, (), {}, state.sentence, None, {}, refused)
+        return Batch(name, (), {}, state.sentence, None, {}, refused, frozenset(failed))
     folder = state.save(current().workspace.reports / "watch" / name)
     last = state.entries[-1]
     figures = {
@@ -205,7 +283,7 @@ def add(found: Mapping[str, Artifact], engine: str, history: str, settings: Mapp
     }
     figures |= {f"{health}_since_reference": float(value) for health, value in zip(HEALTH, last.since, strict=True)}
     held = {entry.sha256: entry.path for entry in state.entries}
-    return Batch(name, tuple(added), held, state.sentence, folder / PAGE, figures, refused)
+    return Batch(name, tuple(added), held, state.sentence, folder / PAGE, figures, refused, frozenset(failed))
 
 
 def _name(history: Path) -> str:
@@ -216,22 +294,28 @@ def _name(history: Path) -> str:
     return f"{history.name}-{hashlib.sha256(str(history).encode()).hexdigest()[:6]}"
 
 
-def show(batch: Batch, known: Collection[str], refused: Mapping[str, StepFailed], left: Mapping[str, str]) -> None:
-    """Print what was added, was known by its rows, left and refused, and what the history says.
+def show(batch: Batch, asked: Asked, found: Collection[str], refused: Mapping[str, StepFailed],
+         left: Mapping[str, str]) -> None:  # fmt: skip
+    """Print what was added, was known by its rows, left and refused, and what the history says; a refusal that an
+    earlier run told of is counted.
 
-    Raises the first refusal behind it.
+    Raises the first new refusal behind it.
     """
-    display = current().display
+    display, new = current().display, asked.new(refused)
     for name in batch.added:
         display.say(f"{name}: added")
-    for name in known:
-        display.say(f"{name}: its rows were there already")
+    for name in found:
+        if name not in {*batch.added, *batch.refused}:
+            display.say(f"{name}: its rows were there already")
     for name, why in left.items():
         display.say(f"{name}: left: {why}")
-    for name, error in refused.items():
+    for name, error in new.items():
         display.say(f"{name}: not added: {error}")
+    if before := len(asked.before) + len(refused) - len(new):
+        display.say(f"refused before: {before} ({asked.path})")
     display.say(batch.sentence)
     if batch.page is not None:
         display.say(f"page: {batch.page}")
-    for error in refused.values():
+    asked.remember(new, batch)
+    for error in new.values():
         raise error

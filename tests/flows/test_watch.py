@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import os
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -61,11 +61,13 @@ def test_what_is_new_is_what_the_history_does_not_hold(tmp_path: Path) -> None:
     arrived(tmp_path / "in", "2026-02-01.csv", 20.0, settled=False)
     (tmp_path / "in" / "notes.pdf").write_text("not a recording")
     (tmp_path / "in" / ".2026-03-01.csv.part").write_text("being copied")
+    (tmp_path / "in" / "2026-04-01.csv").symlink_to(tmp_path / "moved away.csv")
     copy = Path(shutil.copy2(tmp_path / "in" / "2026-01-01.csv", tmp_path / "in" / "copy of 2026-01-01.txt"))
     found = steps.arrived(str(tmp_path / "in"), str(mine), str(tmp_path / "history"))
     assert list(found.new) == ["2026-01-01.csv"]
-    assert found.left.keys() == {"2026-02-01.csv", "notes.pdf", copy.name}  # and each says why
+    assert found.left.keys() == {"2026-02-01.csv", "2026-04-01.csv", "notes.pdf", copy.name}  # and each says why
     assert "s after the last change" in found.left["2026-02-01.csv"] and "ending .pdf" in found.left["notes.pdf"]
+    assert found.left["2026-04-01.csv"] == "a link to a file that isn't there"
     assert found.left[copy.name] == "the same as 2026-01-01.csv"
 
 
@@ -139,8 +141,51 @@ def test_a_first_batch_without_a_good_recording_says_why(
     fresh()
     batch = steps.add({}, str(mine), ".", load_settings("tiny")["watch"])
     assert batch.history == "lorry_7" and batch.page is None and "no recording" in batch.sentence
+    arrived(tmp_path / "in", "2026-01-01.csv", 20.0)
+    asked = steps.asked(new_in(tmp_path), str(mine), ".", load_settings("tiny"))
     with pytest.raises(StepFailed, match="too short"):
-        steps.show(batch, [], {"2026-01-01.csv": StepFailed("too short", 2)}, {})
+        steps.show(batch, asked, [], {"2026-01-01.csv": StepFailed("too short", 2)}, {})
+
+
+def new_in(tmp_path: Path) -> Mapping[str, Artifact]:
+    return steps.arrived(str(tmp_path / "in"), str(tmp_path / "mine.yaml"), str(tmp_path / "lorry_7")).new
+
+
+def test_a_refusal_is_told_once_for_a_content_a_name_and_settings(fresh: Callable[[], None], tmp_path: Path) -> None:
+    mine, history, folder = learned_file(tmp_path), tmp_path / "lorry_7", tmp_path / "in"
+    fresh()
+    settings = load_settings("tiny")
+    for name in ("2026-01-01.csv", "2026-02-01.csv", "2026-03-01.csv"):
+        arrived(folder, name, 20.0)
+    batch = steps.add({}, str(mine), str(history), settings["watch"])
+    said = {
+        "2026-01-01.csv": StepFailed("2026-01-01.csv: too short", 2),
+        "2026-02-01.csv": StepFailed("the tool broke down", 1),
+        "2026-03-01.csv": StepFailed("in part one of the history", 2),
+    }
+    batch = replace(batch, refused={"2026-03-01.csv": said["2026-03-01.csv"]})
+
+    def told() -> steps.Asked:
+        return steps.asked(new_in(tmp_path), str(mine), str(history), settings)
+
+    first = told()
+    assert list(first.arguments) == list(first.new(said)) == list(said)
+    with pytest.raises(StepFailed, match="too short"):
+        steps.show(batch, first, [], said, {})
+    again = told()
+    assert again.before == ("2026-01-01.csv",)
+    assert list(again.arguments) == ["2026-02-01.csv", "2026-03-01.csv"]  # of the history another one may have gone
+    del said["2026-01-01.csv"]
+    assert list(again.new(said)) == ["2026-02-01.csv"]  # what went wrong with the tool is told every time
+    steps.show(batch, again, [], {"2026-03-01.csv": said["2026-03-01.csv"]}, {})
+
+    (folder / "2026-01-01.csv").rename(folder / "2026-01-02.csv")  # its date may have been what was wrong
+    other = settings | {"learn": settings["learn"] | {"changed": 1}}
+    assert "2026-01-02.csv" in told().arguments
+    (folder / "2026-01-02.csv").rename(folder / "2026-01-01.csv")
+    assert "2026-01-01.csv" in steps.asked(new_in(tmp_path), str(mine), str(history), other).arguments
+    (history / steps.REFUSED).write_text("damaged")
+    assert not told().before
 
 
 def test_a_recording_that_is_in_part_in_the_history_stops_none(fresh: Callable[[], None], tmp_path: Path) -> None:
@@ -186,6 +231,9 @@ def test_a_batch_is_added_once_and_logged_once(
     with pytest.raises(StepFailed, match=r"^2026-02-01\.csv") as refused:
         watch("tiny", str(folder), str(mine), str(history))
     assert refused.value.exit_code == 2
+    fresh()
+    assert watch("tiny", str(folder), str(mine), str(history)) == []  # it was told, and isn't judged again
+    assert not run_context.current().timings
     assert [entry.path for entry in dt.history(history).entries] == ["2026-01-01.csv"]
     page = tmp_path / "reports" / "watch" / "lorry_7" / "history.html"
     assert "2026-01-01.csv" in page.read_text()
