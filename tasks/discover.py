@@ -11,7 +11,7 @@ from dieseltwin.errors import InputError
 from dieseltwin.paths import refuse_unreadable
 from tasks.failures import StepFailed
 from tasks.run_context import Pending, Progress, current, step
-from tasks.store import MANIFEST, RUNTIME, Artifact
+from tasks.store import MANIFEST, RUNTIME, Artifact, scratch
 
 SUMMARY = "summary.txt"
 
@@ -34,16 +34,15 @@ def discover(
     ``engine``: an engine file; None is the published engine. ``sensors``: columns to use; None is all there are.
     """
     import shutil
-    import tempfile
     from contextlib import chdir
 
     from dieseltwin.api.discovery import ask
     from dieseltwin.api.findings import Asked
 
     source, engine = recording.resolve(), engine.resolve() if engine is not None else None
-    with tempfile.TemporaryDirectory() as folder:
+    with scratch(out) as folder:
         name = f"{kind}{source.suffix}"
-        shutil.copyfile(source, Path(folder) / name)
+        shutil.copyfile(source, folder / name)
         # The document names the recording's path: a relative one, the same wherever the cache lies.
         with chdir(folder):
             question = ask(Path(name), engine, asked=Asked(sensors))
@@ -51,7 +50,7 @@ def discover(
             found = question.answer()
             found.save("found")
             lines += found.lines()
-        shutil.copytree(Path(folder) / "found", out, dirs_exist_ok=True)
+        shutil.copytree(folder / "found", out, dirs_exist_ok=True)
     (out / SUMMARY).write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 from tasks.identify import declarations
 from tasks.run_context import Progress, step
+from tasks.store import scratch
 
 TABLES = ("cells", "beside_paper", "scores", "operators", "bodies", "maps", "calibration", "over_epochs",
           "identifiability", "variants")  # fmt: skip
@@ -113,7 +114,7 @@ def tables(
     from dieseltwin.paper.evaluation.variants import variant_scores
     from tasks.store import RUNTIME
 
-    with _linked({name: path for name, path in parts.items() if name.startswith("ensemble_")}) as folder:
+    with _linked(out, {name: path for name, path in parts.items() if name.startswith("ensemble_")}) as folder:
         found = evaluation.load_ensembles(folder)
     clean = pd.read_parquet(field / "case_v_clean.parquet", columns=list(HEALTH))
     truth = {name: float(clean[name].iloc[0]) for name in HEALTH}
@@ -150,14 +151,12 @@ def tables(
 
 
 @contextmanager
-def _linked(parts: dict[str, Path]) -> Iterator[Path]:
+def _linked(out: Path, parts: dict[str, Path]) -> Iterator[Path]:
     """A temporary folder with the parts as subfolders."""
-    import tempfile
-
-    with tempfile.TemporaryDirectory() as temporary:
+    with scratch(out) as temporary:
         for name, path in parts.items():
-            (Path(temporary) / name).symlink_to(path.resolve(), target_is_directory=True)
-        yield Path(temporary)
+            (temporary / name).symlink_to(path.resolve(), target_is_directory=True)
+        yield temporary
 
 
 @step("evaluation-page", "page of the evaluation", expected_s=60.0, entries=declarations())
@@ -189,7 +188,7 @@ def page(
 
     _, clean = problems_of(field, settings)
     results = {}
-    with _linked({}) as folder:
+    with _linked(out, {}) as folder:
         for name in sorted(parts):
             note = json.loads((parts[name] / "ensemble.json").read_text(encoding="utf-8"))
             if note["variant"] or not (parts[name] / "identification.json").exists():

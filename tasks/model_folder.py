@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import logging
 import shutil
-import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from tasks.store import scratch
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -44,8 +45,8 @@ def write_model(folder: Path, networks: Path, code: Path, driving: pd.DataFrame)
         Schema([ColSpec("double", name) for name in champion.OUTPUTS]),
         ParamSchema([ParamSpec(name, "double", value) for name, value in parameters.items()]),
     )
-    with tempfile.TemporaryDirectory() as made:
-        named = Path(made) / NETWORKS.name  # MLflow keeps the folder's name
+    with scratch(folder.parent) as made:
+        named = made / NETWORKS.name  # MLflow keeps the folder's name
         shutil.copytree(networks, named)
         mlflow.pyfunc.save_model(
             folder,

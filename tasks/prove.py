@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from tasks.run_context import Progress, step
-from tasks.store import Artifact
+from tasks.store import Artifact, scratch
 
 # Files of a score that two equal runs make alike (run times are in the others).
 METRICS, LINES, FAILURES = "metrics.json", "lines.csv", "failures.csv"
@@ -65,7 +65,7 @@ def case(out: Path, progress: Progress, *, recording: Path, kind: str, withhold:
     }
     recording = recording.resolve()
     _one_thread()
-    with _temporary() as folder:
+    with scratch(out) as folder:
         _copied(recording, folder / str(entry["recording"]))
         # Relative, because the document names the recording's path.
         with chdir(folder):
@@ -87,7 +87,7 @@ def opened(out: Path, progress: Progress, *, benchmark: Path, result: Path, kind
     from dieseltwin.challenge.score import verified_answers
 
     _one_thread()
-    with _laid_out(benchmark, {f"{RESULTS}/{kind}": [result]}) as folder:
+    with _laid_out(out, benchmark, {f"{RESULTS}/{kind}": [result]}) as folder:
         manifest = read_manifest(folder)
         only = manifest | {"cases": [entry for entry in manifest["cases"] if entry["case"] == kind]}
         scoring = Scoring.of_the_tool(manifest["tier"])
@@ -105,7 +105,7 @@ def bands(out: Path, progress: Progress, *, benchmark: Path, jobs: int) -> None:
     """``baselines/bands.json``: what healthy machines reach; the baselines alarm beyond it."""
     from dieseltwin.challenge.baselines import write_bands
 
-    with _laid_out(benchmark, {}) as folder:
+    with _laid_out(out, benchmark, {}) as folder:
         path = write_bands(folder, jobs=jobs, progress=lambda done, of, _note: progress(done, of))
         _copied(path, out / BASELINES_FOLDER / path.name)
 
@@ -118,7 +118,7 @@ def baseline(out: Path, progress: Progress, *, benchmark: Path, bands: Path, kin
     from dieseltwin.challenge.baselines import run_baselines
 
     _one_thread()
-    with _laid_out(benchmark, {BASELINES_FOLDER: [bands / BASELINES_FOLDER]}) as folder:
+    with _laid_out(out, benchmark, {BASELINES_FOLDER: [bands / BASELINES_FOLDER]}) as folder:
         run_baselines(folder, only=(kind,), limit=1, jobs=1)
         shutil.copytree(folder / BASELINES_FOLDER, out / BASELINES_FOLDER)
 
@@ -146,7 +146,7 @@ def score(out: Path, progress: Progress, *, benchmark: Path, **parts: Path) -> N
         placed.setdefault(BASELINES_FOLDER if role == "baseline" else f"{RESULTS}/{number}", []).append(
             path / BASELINES_FOLDER if role == "baseline" else path
         )
-    with _laid_out(benchmark, placed) as folder:
+    with _laid_out(out, benchmark, placed) as folder:
         found = score_challenge(folder, progress=progress)
         shutil.copytree(write_score(found, folder), out, dirs_exist_ok=True)
     document = json.loads((out / "score.json").read_text(encoding="utf-8"))
@@ -224,14 +224,6 @@ def _one_thread() -> None:
     os.environ.setdefault("DIESELTWIN_THREADS", "1")
 
 
-@contextmanager
-def _temporary() -> Iterator[Path]:
-    import tempfile
-
-    with tempfile.TemporaryDirectory() as folder:
-        yield Path(folder)
-
-
 def _copied(source: Path, target: Path) -> None:
     import shutil
 
@@ -243,12 +235,12 @@ def _copied(source: Path, target: Path) -> None:
 
 
 @contextmanager
-def _laid_out(benchmark: Path, placed: Mapping[str, list[Path]]) -> Iterator[Path]:
+def _laid_out(out: Path, benchmark: Path, placed: Mapping[str, list[Path]]) -> Iterator[Path]:
     """The benchmark's folder as the library expects it, for the time of the block: its parts lie apart in the cache.
 
     ``placed``: name below the folder -> folders whose files are copied there; the benchmark itself is linked.
     """
-    with _temporary() as folder:
+    with scratch(out) as folder:
         for path in (benchmark / _BENCHMARK).resolve().iterdir():
             (folder / path.name).symlink_to(path, target_is_directory=path.is_dir())
         for name, sources in placed.items():

@@ -9,7 +9,7 @@ from typing import Any
 
 from tasks.identify import declarations
 from tasks.run_context import Progress, current, step
-from tasks.store import RUNTIME, Artifact, content_hash
+from tasks.store import RUNTIME, SCRATCH, Artifact, content_hash, scratch
 
 PAGE = "index.html"
 METRICS = "metrics.json"
@@ -57,7 +57,6 @@ def comparison(
     """What all methods share (readings, truth, pretraining errors) and how they compare: summary.csv, metrics.json."""
     import json
     import shutil
-    import tempfile
 
     from dieseltwin.report.inputs import write_report_inputs
     from dieseltwin.report.results import load_results
@@ -72,9 +71,9 @@ def comparison(
         content = json.loads(path.read_text(encoding="utf-8"))
         groups[group] = {**groups.get(group, {}), kind: content} if kind else content
     (out / "pretraining.json").write_text(json.dumps(groups, indent=1, sort_keys=True) + "\n", encoding="utf-8")
-    with tempfile.TemporaryDirectory() as temporary:
-        folder = Path(temporary) / "results"
-        shutil.copytree(out, folder)
+    with scratch(out) as temporary:
+        folder = temporary / "results"
+        shutil.copytree(out, folder, ignore=shutil.ignore_patterns(f"{SCRATCH}*"))
         _linked(folder, {"classical": classical, "few-shot-newton": newton, "few-shot-adam": adam})
         table = summary_table(load_results(folder)).drop(columns="seconds_per_run")
     table.to_csv(out / SUMMARY, index=False)
@@ -115,14 +114,13 @@ def report(
     ``run_times``: hashes of the methods' runtime.json, which are no part of their results' hashes but are shown.
     """
     import shutil
-    import tempfile
 
     from dieseltwin.paper.comparison.page import build_report
     from dieseltwin.report.results import load_results
     from dieseltwin.report.tables import summary_table, summary_text
 
-    with tempfile.TemporaryDirectory() as temporary:
-        folder = Path(temporary) / "results"
+    with scratch(out) as temporary:
+        folder = temporary / "results"
         shutil.copytree(common, folder)
         _linked(folder, {"classical": classical, "few-shot-newton": newton, "few-shot-adam": adam})
         (folder / "driving").symlink_to(pictures.resolve(), target_is_directory=True)

@@ -16,6 +16,7 @@ import os
 import platform
 import re
 import shutil
+import tempfile
 import time
 import uuid
 from collections.abc import Iterator, Mapping
@@ -33,6 +34,7 @@ MANIFEST = "manifest.json"
 RUNTIME = "runtime.json"
 
 _TEMPORARY = ".partial-"
+SCRATCH = ".scratch-"
 
 
 @dataclass(frozen=True)
@@ -99,7 +101,8 @@ class Store:
 
     def prune(self, unused_s: float) -> int:
         """Remove results that nobody asked for within the last ``unused_s`` seconds, and temporary folders as old,
-        whoever's they were. Returns how many results; another run may prune at the same time."""
+        whoever's they were, or of processes that no longer live. Returns how many results; another run may prune at the
+        same time."""
         limit = time.time() - unused_s
         removed = 0
         for manifest in self.root.glob(f"*/*/{MANIFEST}"):
@@ -114,7 +117,7 @@ class Store:
             shutil.rmtree(grave, ignore_errors=True)
             removed += 1
         for left in self.root.glob(f"*/{_TEMPORARY}*"):
-            if _is_older(left, limit):
+            if _is_older(left, limit) or _is_left(left.name):
                 shutil.rmtree(left, ignore_errors=True)
         return removed
 
@@ -165,8 +168,18 @@ class Store:
     def _sweep(self, target: Path) -> None:
         """Remove temporary folders of this machine's processes that no longer live."""
         for folder in target.parent.glob(f"{_TEMPORARY}*"):
-            if _is_abandoned(folder.name.split("-")[-3:-1]):
+            if _is_left(folder.name):
                 shutil.rmtree(folder, ignore_errors=True)
+
+
+@contextmanager
+def scratch(out: Path) -> Iterator[Path]:
+    """An empty folder for the time of the block, inside the folder ``out`` that a step writes its result into.
+
+    A step that is killed leaves it there and not with other programs' temporary files, and the next one sweeps it.
+    """
+    with tempfile.TemporaryDirectory(dir=out, prefix=SCRATCH) as folder:
+        yield Path(folder)
 
 
 def host() -> str:
@@ -220,6 +233,11 @@ def _digest(hashes: Mapping[str, str]) -> str:
 
 def _temporary_name(key: str) -> str:
     return f"{_TEMPORARY}{key}-{host()}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
+
+
+def _is_left(temporary: str) -> bool:
+    """Whether a temporary folder of the store, by its name, is this machine's and its process lives no longer."""
+    return _is_abandoned(temporary.split("-")[-3:-1])
 
 
 def _is_abandoned(machine_and_pid: list[str]) -> bool:

@@ -14,7 +14,7 @@ from typing import Any
 from dieseltwin.atomic import write_json
 from tasks.failures import InputChanged, StepFailed
 from tasks.run_context import Progress, current, split_arguments, step
-from tasks.store import Artifact
+from tasks.store import Artifact, scratch
 
 ENTRY = "entry.json"
 REFUSED = "refused.json"  # beside the history
@@ -43,18 +43,17 @@ def watched(
     """
     import os
     import shutil
-    import tempfile
     from contextlib import chdir
 
     from dieseltwin.api.watch import judge
     from dieseltwin.learning.history import to_json
 
-    with tempfile.TemporaryDirectory() as folder:
-        shutil.copyfile(recording, Path(folder) / name)
+    with scratch(out) as folder:
+        shutil.copyfile(recording, folder / name)
         if modified_s is not None:
-            os.utime(Path(folder) / name, (modified_s, modified_s))
-        shutil.copyfile(engine, Path(folder) / "engine.yaml")
-        shutil.copyfile(learned, Path(folder) / beside)
+            os.utime(folder / name, (modified_s, modified_s))
+        shutil.copyfile(engine, folder / "engine.yaml")
+        shutil.copyfile(learned, folder / beside)
         with chdir(folder):  # what is refused is named as it is in its folder
             entry = judge(name, "engine.yaml")
     (out / ENTRY).write_text(to_json(entry) + "\n", encoding="utf-8")

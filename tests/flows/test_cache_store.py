@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from tasks import store as store_module
-from tasks.store import Artifact, Store, content_hash, host, replace_folder
+from tasks.store import Artifact, Store, content_hash, host, replace_folder, scratch
+from tasks.workspace import PROJECT
 
 
 @pytest.fixture
@@ -81,6 +84,28 @@ def test_temporary_folders_of_dead_processes_are_swept(store: Store) -> None:
         folder.mkdir(parents=True)
     put(store)
     assert not dead.exists() and alive.exists()
+
+
+def test_what_a_killed_step_was_working_on_is_swept_with_its_folder(store: Store, tmp_path: Path) -> None:
+    program = (
+        "import os, signal, sys\n"
+        "from pathlib import Path\n"
+        "from tasks.store import Store, scratch\n"
+        "with Store(Path(sys.argv[1])).writing('step', 'k1', {}) as out, scratch(out) as folder:\n"
+        "    (folder / 'recording.csv').write_text('secret')\n"
+        "    os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(PROJECT), "TMPDIR": str(tmp_path / "elsewhere")}
+    (tmp_path / "elsewhere").mkdir()
+    subprocess.run([sys.executable, "-c", program, str(store.root)], env=environment, check=False)
+    assert not list((tmp_path / "elsewhere").iterdir())
+    assert list(store.root.glob("step/.partial-*/.scratch-*/recording.csv"))
+    store.prune(3600.0)  # at the end of the next run, whatever its steps
+    assert not list(store.root.glob("step/.partial-*"))
+    with store.writing("step", "k3", {}) as out, scratch(out) as folder:
+        (folder / "recording.csv").write_text("secret")
+    found = store.find("step", "k3")
+    assert found is not None and not list(found.path.rglob("recording.csv"))
 
 
 def test_what_another_machine_writes_is_not_swept(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
