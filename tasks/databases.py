@@ -22,6 +22,9 @@ from tasks.failures import StepFailed
 
 MLFLOW, PREFECT = "DIESELTWIN_MLFLOW", "DIESELTWIN_PREFECT"
 
+API = "PREFECT_API_URL"  # Prefect's own: a server that runs already
+_TRACKING = "MLFLOW_TRACKING_URI"  # MLflow's own
+
 _DRIVERS = {MLFLOW: "psycopg", PREFECT: "asyncpg"}
 _SCHEME = "postgresql://"
 _ADDRESS = re.compile(r"postgresql://[^/@\s]*(:[^/@\s]*)?@?[^/@\s]+/[^/\s]+")
@@ -69,6 +72,18 @@ def check_settings() -> None:
                              "start the server or unset the variable", exit_code=2) from error  # fmt: skip
 
 
+def unused_setting(mlflow_uri: str) -> str | None:
+    """One line where MLflow's own variable names another store than the one in use, None where not.
+
+    It may stand in a user's environment for other work, and it would tear runs and files of a workspace apart.
+    """
+    given = os.environ.get(_TRACKING, "")
+    if given in ("", mlflow_uri):
+        return None
+    return (f"{_TRACKING}={shown(given)} isn't used: runs go with their files in mlruns/, rows to {shown(mlflow_uri)}; "
+            f"{MLFLOW} names a PostgreSQL server for the rows")  # fmt: skip
+
+
 def failure(error: BaseException, mlflow_uri: str) -> str | None:
     """One line for an error of MLflow's or Prefect's database or of the server before it, of the disk or of the memory;
     None for any other.
@@ -76,6 +91,10 @@ def failure(error: BaseException, mlflow_uri: str) -> str | None:
     What was computed lies in the cache and in the published folders by then, so the next run goes on from there.
     """
     if isinstance(error, RuntimeError) and "Failed to reach API" in str(error):  # Prefect's, of a builtin class
+        given = os.environ.get(API)
+        if given:
+            return (f"{API}: got no answer of {shown(given)}; what was computed is kept: start that server or unset "
+                    "the variable, and run again")  # fmt: skip
         return ("Prefect's server doesn't answer (.prefect/server.log): is memory short, or the machine very busy? "
                 "What was computed is kept, run again")  # fmt: skip
     if isinstance(error, MemoryError):

@@ -22,7 +22,7 @@ from dieseltwin.errors import InputError
 from tasks import databases, records, run_context, workers
 from tasks.cluster import check_setting
 from tasks.failures import INTERRUPTED, INTERRUPTED_CODE
-from tasks.server import ServerFailed, prefect_server
+from tasks.server import ServerFailed, check_given, prefect_server
 from tasks.settings import DEFAULT_PROFILE, load_settings
 from tasks.workspace import Workspace, prepare_environment
 
@@ -144,9 +144,13 @@ def check_start(parameters: dict[str, Any], check: Callable[[dict[str, Any]], No
     load_settings(parameters["profile"])
     check_setting()
     databases.check_settings()
+    check_given()
     if check is not None:
         check(parameters)
     check_place()
+    unused = databases.unused_setting(run_context.current().workspace.mlflow_uri)
+    if unused is not None:
+        print(f"note: {unused}", file=sys.stderr)
 
 
 def check_place() -> None:

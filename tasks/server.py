@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import socket
+import ssl
 import subprocess
 import sys
 import time
@@ -16,12 +17,15 @@ import urllib.error
 import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
+from http.client import HTTPException
 from pathlib import Path
 
-from tasks.failures import end_with_parent
+from tasks.databases import API, shown
+from tasks.failures import StepFailed, end_with_parent
 from tasks.workspace import PROJECT, Workspace
 
 _START_TIMEOUT_S = 180.0
+_ANSWER_S = 10.0
 # After Ctrl-C: a server that is just starting takes seconds to end by itself, and its database bears being killed.
 _STOP_INTERRUPTED_S = 0.5
 _STOP_TIMEOUT_S = 5.0
@@ -35,6 +39,22 @@ _FOR_ONE_RUN = {
 }
 
 
+def check_given() -> None:
+    """Raise ``StepFailed`` (exit status 2) where ``PREFECT_API_URL`` names a server that doesn't answer."""
+    given = os.environ.get(API)
+    if not given:
+        return
+    try:
+        with urllib.request.urlopen(f"{given.rstrip('/')}/health", timeout=_ANSWER_S):
+            return
+    except (OSError, ValueError, HTTPException) as error:
+        why = getattr(error, "reason", error)
+        if isinstance(why, ssl.SSLError) or getattr(error, "code", 404) != 404:
+            return  # it answers; certificates and passwords are Prefect's own settings
+        told = f"{API}: got no answer of {shown(given)}: {why}; allowed: nothing, or the API of a server that runs"
+        raise StepFailed(f"{told} (http://HOST:4200/api); start it or unset the variable", exit_code=2) from error
+
+
 class ServerFailed(RuntimeError):
     """The Prefect server didn't come up."""
 
@@ -45,7 +65,7 @@ def prefect_server(workspace: Workspace, *, scheduled: bool = False) -> Iterator
 
     ``scheduled``: with the services that a schedule needs. Yields the API's address.
     """
-    given = os.environ.get("PREFECT_API_URL")
+    given = os.environ.get(API)
     if given:
         yield given
         return
@@ -65,7 +85,7 @@ def prefect_server(workspace: Workspace, *, scheduled: bool = False) -> Iterator
     address = f"http://127.0.0.1:{port}/api"
     patience_s = _STOP_TIMEOUT_S
     try:
-        os.environ["PREFECT_API_URL"] = address
+        os.environ[API] = address
         _wait_until_up(server, address, log)
         _reread_settings()
         yield address
@@ -73,7 +93,7 @@ def prefect_server(workspace: Workspace, *, scheduled: bool = False) -> Iterator
         patience_s = _STOP_INTERRUPTED_S
         raise
     finally:
-        os.environ.pop("PREFECT_API_URL", None)
+        os.environ.pop(API, None)
         _reread_settings()
         server.terminate()
         try:

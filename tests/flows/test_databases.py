@@ -12,6 +12,7 @@ import threading
 from pathlib import Path
 
 import pytest
+import tiny_settings
 
 from tasks import databases
 from tasks.failures import StepFailed
@@ -57,12 +58,18 @@ def test_a_server_that_does_not_answer_is_one_line_without_the_password(monkeypa
     assert "secret" not in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_errors_of_their_databases_are_one_line_and_others_keep_their_traceback() -> None:
+def test_errors_of_their_databases_are_one_line_and_others_keep_their_traceback(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.delenv(databases.API, raising=False)
     line = databases.failure(sqlite3.OperationalError("disk is full"), "sqlite:////work/mlflow.db")
     assert line is not None and line.startswith("MLflow's database sqlite:////work/mlflow.db: disk is full;")
     assert databases.failure(ValueError("ours"), "sqlite://") is None
     line = databases.failure(RuntimeError("Failed to reach API at http://127.0.0.1:1/api/"), "sqlite://")
     assert line is not None and "server.log" in line
+    monkeypatch.setenv(databases.API, "http://me:secret@127.0.0.1:1/api")
+    line = databases.failure(RuntimeError("Failed to reach API at http://127.0.0.1:1/api/"), "sqlite://")
+    assert line is not None and line.startswith("PREFECT_API_URL: got no answer of http://me:...@127.0.0.1:1/api;")
     assert "out of memory" in str(databases.failure(MemoryError(), "sqlite://"))
 
 
@@ -81,6 +88,35 @@ def test_a_disk_that_is_full_or_may_not_be_written_is_one_line_with_its_own_advi
 def test_who_may_not_write_beside_a_database_reads_it_without_a_lock() -> None:
     with databases.one_at_a_time(databases.MLFLOW, Path("/sys/.lock")):  # where nobody may write, root neither
         pass
+
+
+def test_a_tracking_address_that_is_not_used_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    own = Workspace(tmp_path).mlflow_uri
+    for same in ("", own):
+        monkeypatch.setenv("MLFLOW_TRACKING_URI", same)
+        assert databases.unused_setting(own) is None
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", "https://me:secret@mlflow.example/")
+    said = databases.unused_setting(own)
+    assert said is not None and said.startswith("MLFLOW_TRACKING_URI=https://me:...@mlflow.example/ isn't used: ")
+    assert str(tmp_path) in said and "DIESELTWIN_MLFLOW" in said and "secret" not in said
+
+
+@pytest.mark.parametrize("place", ["http://127.0.0.1:{port}/api", "127.0.0.1"])
+def test_a_prefect_server_that_does_not_answer_is_named_before_anything_starts(
+    place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from flows.simulate import simulate
+    from tasks.launch import run_alone
+
+    tiny_settings.write_params(tmp_path)
+    tiny_settings.new_context(tmp_path)
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = place.format(port=free.getsockname()[1])
+        monkeypatch.setenv(databases.API, address)
+        assert run_alone(simulate, ["--profile", "tiny"]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"error: PREFECT_API_URL: got no answer of {address}: ") and error.count("\n") == 1
 
 
 @pytest.mark.parametrize("command", ["serve_champion", "ui"])
