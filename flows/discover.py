@@ -13,7 +13,7 @@ from tasks.cluster import task_runner
 from tasks.launch import run_alone
 from tasks.prefect_task import submit
 from tasks.publish import publish
-from tasks.run_context import WORKERS, current
+from tasks.run_context import WORKERS, Pending, current
 from tasks.settings import load_settings
 
 
@@ -41,17 +41,21 @@ def discover(
         ).result()
         inputs = {"concealed": prove.recording_of(made, prove.cases_of(made)[0])}
     known = steps.engine_file(engine)
-    pending = {
-        name: submit(
-            steps.discover,
-            recording=recording,
-            kind=name,
-            sensors=sensors,
-            sections=steps.discover.sections_of(settings),
-            **known,
-        )
-        for name, recording in inputs.items()
-    }
+    asked: dict[tuple[str, str], Pending] = {}
+    for name, recording in inputs.items():
+        content = recording.sha256, recording.path.suffix
+        if content not in asked:  # a copy among them is discovered once
+            asked[content] = submit(
+                steps.discover,
+                recording=recording,
+                kind=name,
+                ending=recording.path.suffix,
+                concealed=not recordings,
+                sensors=sensors,
+                sections=steps.discover.sections_of(settings),
+                **known,
+            )
+    pending = {name: asked[recording.sha256, recording.path.suffix] for name, recording in inputs.items()}
     found, refused = steps.gathered(pending)
     if found and not recordings:
         publish(context.workspace.root / "discoveries", steps.files_to_publish(found, inputs))

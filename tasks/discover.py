@@ -19,19 +19,24 @@ SUMMARY = "summary.txt"
 COMPARED = ("discrepancy.json", "engine.yaml", "implied.parquet")
 
 
-@step("discover", "discovery", expected_s=60.0, sections=("discover", "learn"))
+@step("discover", "discovery", expected_s=60.0, sections=("discover", "learn"), unkeyed=("kind",))
 def discover(
     out: Path,
     progress: Progress,
     *,
     recording: Path,
     kind: str,
+    ending: str,
+    concealed: bool,
     sensors: list[str] | None,
     engine: Path | None = None,
 ) -> None:
-    """discrepancy.json, report.html, figures/, engine.yaml (repaired), implied.parquet; ``kind`` names the recording.
+    """discrepancy.json, report.html, figures/, engine.yaml (repaired), implied.parquet.
 
-    ``engine``: an engine file; None is the published engine. ``sensors``: columns to use; None is all there are.
+    ``kind`` names the recording, whose contents are what counts: under another name the result is found again, and its
+    document names the one that was read. ``ending``: of its file, which says how it is read. ``concealed``: it is the
+    chain's own, always of one name. ``engine``: an engine file; None is the published engine. ``sensors``: columns to
+    use; None is all there are.
     """
     import shutil
     from contextlib import chdir
@@ -41,7 +46,7 @@ def discover(
 
     source, engine = recording.resolve(), engine.resolve() if engine is not None else None
     with scratch(out) as folder:
-        name = f"{kind}{source.suffix}"
+        name = f"{kind}{ending}"
         shutil.copyfile(source, folder / name)
         # The document names the recording's path: a relative one, the same wherever the cache lies.
         with chdir(folder):

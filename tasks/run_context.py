@@ -9,8 +9,7 @@ A step's key is the hash of
 
 Results lie in ``.cache/<step>/<key>/`` (:mod:`tasks.store`); Prefect's own cache holds the path and the hash alone,
 under the same key, and is believed only after the files were hashed again (:mod:`tasks.prefect_task`). Steps run in
-processes of their own (:mod:`tasks.workers`), so that two heavy ones use two cores;
-those never need Prefect.
+processes of their own (:mod:`tasks.workers`), so that two heavy ones use two cores; those never need Prefect.
 """
 
 from __future__ import annotations
@@ -42,7 +41,6 @@ QUIET_VARIABLE = "DIESELTWIN_QUIET"
 # Steps at a time: each uses one core.
 WORKERS = max(1, min(2, os.cpu_count() or 1))
 
-_LOG_TAIL_LINES = 12
 _LOG_STEM_BYTES = 200  # a recording's own name may be as long as a file's can be
 
 # How long a step took, beside its result and no part of its hash.
@@ -119,6 +117,7 @@ class Step:
     ``sections`` names the sections of params.yaml that the library looks up by itself when the function runs. They are
     an argument ``sections`` of the call (:meth:`sections_of`), part of the key, and stand for the file's in the step's
     process: the file may be of another profile, or edited, and a look-up of any other section is an error there.
+    ``unkeyed``: parameters that are no part of the key; a result found may have been made with others.
     """
 
     name: str
@@ -128,6 +127,7 @@ class Step:
     entries: tuple[str, ...] = ()
     many: bool = False
     sections: tuple[str, ...] = ()
+    unkeyed: tuple[str, ...] = ()
 
     @property
     def reference(self) -> str:
@@ -158,7 +158,7 @@ class Step:
             "step": self.name,
             "code": self.code(context).digest,
             "inputs": {name: artifact.sha256 for name, artifact in inputs.items()},
-            "parameters": parameters,
+            "parameters": {name: value for name, value in parameters.items() if name not in self.unkeyed},
         }
         text = json.dumps(parts, sort_keys=True, allow_nan=False)
         return hashlib.sha256(text.encode()).hexdigest()[:32]
@@ -223,6 +223,7 @@ def step(
     entries: tuple[str, ...] = (),
     many: bool = False,
     sections: tuple[str, ...] = (),
+    unkeyed: tuple[str, ...] = (),
 ) -> Callable[[Callable[..., None]], Step]:
     """Make a step of a function, see :class:`Step`.
 
@@ -232,7 +233,7 @@ def step(
     """
 
     def decorate(function: Callable[..., None]) -> Step:
-        made = Step(name, label, function, expected_s, entries, many, sections)
+        made = Step(name, label, function, expected_s, entries, many, sections, unkeyed)
         if name in STEPS and STEPS[name].function.__qualname__ != function.__qualname__:
             raise ValueError(f"two steps named {name!r}")
         STEPS[name] = made
@@ -387,7 +388,7 @@ def _failed(step: Step, context: RunContext, log: Path, failure: Mapping[str, An
         kind = failure["kind"][0].removeprefix("builtins.")
         first = str(failure["error"]).splitlines()[0]
         return StepFailed(f"{step.name}: {kind}: {first} (traceback in {where})", kinds=failure["kind"])
-    tail = log.read_text(encoding="utf-8", errors="replace").splitlines()[-_LOG_TAIL_LINES:]
+    tail = log.read_text(encoding="utf-8", errors="replace").splitlines()
     last = tail[-1] if tail else "no output"
     kind = WorkerKilled if status < 0 and not workers.stopping() else StepFailed
     return kind(f"{step.name}: the worker ended with status {status}: {last} (log in {where})")
@@ -395,5 +396,4 @@ def _failed(step: Step, context: RunContext, log: Path, failure: Mapping[str, An
 
 def seed_for(seed: int, *names: str) -> int:
     """A seed of its own for each named purpose, derived from the run's seed."""
-    text = "/".join((str(seed), *names))
-    return int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big")
+    return int.from_bytes(hashlib.sha256("/".join((str(seed), *names)).encode()).digest()[:4], "big")

@@ -87,10 +87,27 @@ def test_the_chains_own_machine_and_a_list_of_recordings(
     assert (tmp_path / "reports" / "discover" / "mine" / "report.html").exists()
     assert content_hash(tmp_path / "discoveries") == before
 
+    # The same contents, renamed: beside the first, alone, and beside another file of its name in another folder.
+    heavy, again = str(tmp_path / "heavy.yaml"), str(tmp_path / "again.csv")
+    shutil.copy(tmp_path / "mine.csv", again)
+    (tmp_path / "other").mkdir()
+    rows = text.splitlines(keepends=True)
+    (tmp_path / "other" / "mine.csv").write_text("".join(rows[:-20]))
+    for paths, ran in (
+        ([again], set()),
+        ([str(tmp_path / "mine.csv"), str(tmp_path / "other" / "mine.csv"), again], {"discover-mine_2"}),
+    ):
+        context = faked_discovery()
+        assert discover("tiny", paths, heavy) == list(steps.named_recordings(paths))
+        assert set(context.timings) == ran
+    pages = {name: tmp_path / "reports" / "discover" / name / "report.html" for name in ("mine", "mine_2", "again")}
+    assert pages["again"].read_bytes() == pages["mine"].read_bytes() != pages["mine_2"].read_bytes()
+    assert content_hash(tmp_path / "discoveries") == before
+
     client = Tracker(Workspace(tmp_path)).client
     experiment = client.get_experiment_by_name("discover")
     runs = {run.info.run_name: run.data for run in client.search_runs([experiment.experiment_id])}
-    assert set(runs) == {"concealed", "mine"}
+    assert set(runs) == {"concealed", "mine", "mine_2", "again"}
     metrics = runs["mine"].metrics
     assert metrics["p_value"] == document["p_value"] and metrics["mismatch"] == float(document["mismatch"])
     assert metrics["eta_sc_before"] == document["health"]["eta_sc"]["before"]
