@@ -136,6 +136,7 @@ def start(
     except (run_context.StepFailed, InputError) as error:
         print(f"error: {error}", file=sys.stderr)
         return error.exit_code
+    note_unused()
     return launch(flow, **parameters)
 
 
@@ -148,6 +149,10 @@ def check_start(parameters: dict[str, Any], check: Callable[[dict[str, Any]], No
     if check is not None:
         check(parameters)
     check_place()
+
+
+def note_unused() -> None:
+    """Say which setting of the user's isn't used, now that the flow or its schedule begins."""
     unused = databases.unused_setting(run_context.current().workspace.mlflow_uri)
     if unused is not None:
         print(f"note: {unused}", file=sys.stderr)

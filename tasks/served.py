@@ -22,7 +22,7 @@ from typing import Any
 
 from dieseltwin.errors import InputError
 from tasks.failures import INTERRUPTED, INTERRUPTED_CODE
-from tasks.launch import check_start, command_line, start
+from tasks.launch import check_start, command_line, note_unused, start
 from tasks.run_context import StepFailed
 from tasks.server import ServerFailed, prefect_server
 from tasks.store import host
@@ -85,6 +85,7 @@ def serve(
     try:
         check_start(parameters, check)
         schedule = _checked(cron())
+        note_unused()
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, _interrupt)
         with prefect_server(workspace, scheduled=True) as address, _runner() as runner:
