@@ -65,7 +65,7 @@ def case(out: Path, progress: Progress, *, recording: Path, kind: str, withhold:
     }
     recording = recording.resolve()
     _one_thread()
-    with scratch(out) as folder:
+    with _elsewhere() as folder:
         _copied(recording, folder / str(entry["recording"]))
         # Relative, because the document names the recording's path.
         with chdir(folder):
@@ -222,6 +222,15 @@ def _one_thread() -> None:
     import os
 
     os.environ.setdefault("DIESELTWIN_THREADS", "1")
+
+
+@contextmanager
+def _elsewhere() -> Iterator[Path]:
+    """A folder outside the workspace, from which no path leads to the answers."""
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as folder:
+        yield Path(folder)
 
 
 def _copied(source: Path, target: Path) -> None:
