@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -16,6 +18,7 @@ from dieseltwin.discovery.twins.diesel import EngineTwin
 from dieseltwin.discovery.verdict.document import NONE_OF_THESE
 from dieseltwin.engine import MEASURED, we2011
 from dieseltwin.engine.terms import LawTerm
+from dieseltwin.recordings.columns import Columns
 from dieseltwin.recordings.reader import Recording, recording
 
 AMOUNT = -4.0  # mg/cycle
@@ -45,6 +48,12 @@ def test_an_amount_is_asked_for_where_it_is_no_share() -> None:
     (feature,) = _amounts(twin)
     assert feature.form is not None and feature.site == "fuel_injection"
     assert law_text(twin, feature.form, AMOUNT, std=0.1) == "added to u_delta: -4 +- 0.1 mg/cycle"
+    fuel = np.array([0.0, 2.0, 100.0])
+    np.testing.assert_allclose(feature.form.value({"u_delta": fuel}) * fuel, [0.0, 1.0, 1.0])
+    cut = _recorded(0.0)
+    idle = cut.columns["u_delta_mg"] < np.quantile(cut.columns["u_delta_mg"], 0.1)
+    columns = Columns({**cut.columns, "u_delta_mg": np.where(idle, 0.0, cut.columns["u_delta_mg"])})
+    assert len(_amounts(EngineTwin(replace(cut, columns=columns), we2011.PARAMETERS, MEASURED))) == 1
 
 
 def test_no_less_than_nothing_is_injected() -> None:
