@@ -28,6 +28,7 @@ _DESCRIPTION = (
     f"`{CHAMPION}` marks the version in use; tags say why a version got it or not."
 )
 _HASH = "dieseltwin.sha256"
+_ACCEPTANCE = "acceptance"
 _TESTS = "acceptance.json"
 _FOLDER = "model"
 _SCHEME = "mlflow-artifacts:/"
@@ -220,16 +221,22 @@ class Registry:
         return None
 
     def record(self, version: Version, decision: Decision, tests: Sequence[Mapping[str, Any]] = ()) -> None:
-        """Set aliases and tags, write the tests beside the model. Before the alias moves, the champion becomes
-        ``previous``."""
+        """Set aliases and tags, write the tests beside the model; nothing of an earlier decision stays. Before the
+        alias moves, the champion becomes ``previous``."""
         number = str(version.number)
         tags = {"decision": "promoted" if decision.promoted else "refused", "reason": decision.reason}
         if decision.mean_ratio is not None:
             tags["mean_ratio"] = f"{decision.mean_ratio:.4f}"
         if tests:
             write_json(version.folder / _TESTS, list(tests))
-            tags["acceptance"] = "passed" if all(test["passed"] for test in tests) else "failed"
-            tags |= {f"acceptance.{test['name']}": _told(test) for test in tests}
+            tags[_ACCEPTANCE] = "passed" if all(test["passed"] for test in tests) else "failed"
+            tags |= {f"{_ACCEPTANCE}.{test['name']}": _told(test) for test in tests}
+        else:
+            (version.folder / _TESTS).unlink(missing_ok=True)
+        present = self.client.get_model_version(NAME, number).tags
+        for key in sorted(set(present) - set(tags)):
+            if key == "mean_ratio" or key.partition(".")[0] == _ACCEPTANCE:
+                self.client.delete_model_version_tag(NAME, number, key)
         for key, value in tags.items():
             self.client.set_model_version_tag(NAME, number, key, value)
         if not decision.promoted:

@@ -132,6 +132,9 @@ def test_versions_aliases_and_files(tmp_path: Path) -> None:
     assert "no stable rest" in tags["reason"]
     registry.record(broken, decide({"e": 0.1}, {"e": 0.5}, **LIMITS))  # by tests with other limits
     assert registry.version(CHAMPION) == broken and registry.version(CHALLENGER) is None and not registry.refusal()
+    left = registry.client.get_model_version(NAME, str(broken.number)).tags  # of the tests that it failed nothing
+    assert left["decision"] == "promoted" and not [name for name in left if name.startswith("acceptance")]
+    assert not (broken.folder / "acceptance.json").exists()
 
     # A moved checkout keeps its versions; a spoilt file is no champion.
     (tmp_path / "first").rename(tmp_path / "moved")
