@@ -21,10 +21,23 @@ from tasks.store import Artifact
 
 
 @flow(name="promote", description=__doc__, task_runner=task_runner())
-def promote(profile: str, settings: dict[str, Any] | None = None) -> bool:
-    """Test ``models/`` and compare them with the champion on driving that neither was trained on. Returns whether they
-    are in use. ``settings``: as of ``simulate``."""
+def promote(
+    profile: str,
+    settings: dict[str, Any] | None = None,
+    *,
+    again: bool = False,
+    back: bool = False,
+    to: int | None = None,
+    reason: str | None = None,
+) -> bool:
+    """Test ``models/`` and compare them with the champion on driving that neither was trained on; with ``back`` or
+    ``to`` put an earlier version in use instead. Returns whether the version is in use.
+
+    ``settings``: as of ``simulate``; ``again``: networks that were taken out of use may come back.
+    """
     settings = settings or load_settings(profile)
+    if back or to is not None:
+        return steps.roll_back(to, str(reason), settings)
     models = published(current().workspace.root / "models", "pretrain")
     recording = submit(
         steps.validation_driving,
@@ -48,8 +61,8 @@ def promote(profile: str, settings: dict[str, Any] | None = None) -> bool:
         pending = submit(steps.validate, recording=recording, networks=champion.artifact)
         before = steps.figures_unless_unreadable(pending)
     candidate = Candidate(models, packed.result() / steps.MODEL, steps.figures_of(validated), steps.tests_of(tested))
-    return steps.promote(candidate, before, settings).promoted
+    return steps.promote(candidate, before, settings, again=again).promoted
 
 
 if __name__ == "__main__":
-    sys.exit(run_alone(promote))
+    sys.exit(run_alone(promote, options=steps.options, check=steps.check))

@@ -3,15 +3,19 @@ that MLflow serves, the registry."""
 
 from __future__ import annotations
 
+import argparse
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from dieseltwin.errors import InputError, one_line
 from dieseltwin.settings.methods import find
+from tasks import rollback
 from tasks.failures import StepFailed
 from tasks.identify import rests_on
 from tasks.registry import CHAMPION, Candidate, Decision, Registry, Version, decide
+from tasks.rollback import BY_HAND, take_note, taken_out, target
 from tasks.run_context import Pending, Progress, current, step
 from tasks.tracking import Tracker
 
@@ -157,25 +161,80 @@ def tests_of(pending: Pending) -> list[dict[str, Any]]:
     return tests
 
 
-def promote(candidate: Candidate, before: Mapping[str, float] | None, settings: Mapping[str, Any]) -> Decision:
-    """Register the networks, decide, set the aliases, log the comparison, say so."""
-    from tasks import records
+def options(parser: argparse.ArgumentParser) -> None:
+    """Options of the command."""
+    parser.add_argument("--back", action="store_true", help="put the version that was in use before in use again")
+    parser.add_argument("--to", type=int, metavar="N", help="the same with version N, which was in use once")
+    parser.add_argument("--reason", help="of --back and --to: why; the version that is taken out keeps it")
+    parser.add_argument(
+        "--again", action="store_true", help="networks that were taken out of use may come back if they aren't worse"
+    )
 
-    store, limits = registry(), settings["promotion"]
-    in_use = store.version(CHAMPION)
+
+def check(parameters: Mapping[str, Any]) -> None:
+    """Raise ``InputError`` for options that don't go together."""
+    asked = [name for name in ("back", "to") if parameters[name] not in (None, False)]
+    reason = str(parameters["reason"] or "").strip()
+    if len(asked) == 2 or (asked and parameters["again"]):
+        raise InputError("promote", "several ways at once", "--back, --to N or --again", "take one of them")
+    if asked and not reason:
+        raise InputError(f"promote --{asked[0]}", "no reason", "a few words", "say why with --reason")
+    if reason and not asked:
+        raise InputError("promote --reason", repr(reason), "a reason of --back or --to", "add one of these")
+
+
+def promote(
+    candidate: Candidate, before: Mapping[str, float] | None, settings: Mapping[str, Any], *, again: bool = False
+) -> Decision:
+    """Register the networks, decide, log the decision, set the aliases, say so.
+
+    ``again``: networks that were taken out of use are compared as others are; else they are refused.
+    """
+    from tasks import records, records_promotion
+
+    store, limits = _registry_as_it_is(), settings["promotion"]
+    in_use, out = store.version(CHAMPION), taken_out(store, candidate.networks.sha256)
     if in_use is not None and in_use.sha256 == candidate.networks.sha256 and in_use.served:
         failed = "; ".join(("", *(f"it fails today's test: {words}" for words in candidate.failures)))
         decision = Decision(True, f"these networks are in use already{failed}")
+        records_promotion.promoted(in_use, candidate, before, decision, settings)
         current().display.say(f"registry: version {in_use.number} stays {CHAMPION}: {decision.reason}")
         return decision
-    decision = decide(
-        candidate.figures, before, mean_ratio_max=limits["mean_ratio_max"], worst_ratio_max=limits["worst_ratio_max"],
-        failures=candidate.failures,
-    )  # fmt: skip
+    if out is not None and not again:
+        decision = Decision(False, f"it was taken out of use on {out}; --again compares it with the champion")
+    else:
+        decision = decide(
+            candidate.figures, before, mean_ratio_max=limits["mean_ratio_max"],
+            worst_ratio_max=limits["worst_ratio_max"], failures=candidate.failures,
+        )  # fmt: skip
     experiment = records.experiment("promote")
     version = store.register(candidate.networks, candidate.model, experiment, {"profile": settings["profile"]})
+    records_promotion.promoted(version, candidate, before, decision, settings)
     store.record(version, decision, candidate.tests)
-    records.promoted(version, candidate, before, decision, settings)
     verb = f"is {CHAMPION}" if decision.promoted else "is not promoted"
     current().display.say(f"registry: version {version.number} {verb}: {decision.reason}")
     return decision
+
+
+def roll_back(to: int | None, reason: str, settings: Mapping[str, Any]) -> bool:
+    """Put an earlier version in use (``to``, or the one before), log the decision, say so. Returns True.
+
+    Raises ``InputError`` where there is no such version.
+    """
+    from tasks import records_promotion
+
+    store = _registry_as_it_is()
+    back, reason = target(store, to), one_line(reason)
+    records_promotion.rolled_back(back, store.number(CHAMPION), reason, settings)
+    out = rollback.roll_back(store, back, reason)
+    place = "" if out is None else f" in place of version {out}, which is taken out of use"
+    current().display.say(f"registry: version {back.number} is {CHAMPION}{place}: {reason}")
+    return True
+
+
+def _registry_as_it_is() -> Registry:
+    """The registry, after what somebody moved by hand was noted and said."""
+    store = registry()
+    for number in take_note(store):
+        current().display.say(f"registry: version {number} is taken out of use: {BY_HAND}")
+    return store

@@ -12,7 +12,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from tasks.registry import Candidate, Decision, Version
 from tasks.run_context import current, seconds_of
 from tasks.store import Artifact
 from tasks.tracking import Curve, Record, Tracker, flat, view
@@ -35,8 +34,8 @@ EXPERIMENTS = {
     "watch": "Histories of engines: a run for every batch of new recordings. `alarm` is 1 where something besides wear "
     "has changed, `evidence` against 1 / `alarms_per_year`; `…_since_reference` is health over that of the reference.",
     "promote": "Trained networks against the ones in use: relative L2 error in per cent on validation driving, "
-    "`mean_ratio` is the geometric mean of new / in use; `acceptance/…`: figures of the physical tests. The "
-    "versions are under Models.",
+    "`mean_ratio` is the geometric mean of new / in use; `acceptance/…`: figures of the physical tests. Every "
+    "decision is a run, roll-backs too. The versions are under Models.",
 }
 
 
@@ -256,34 +255,6 @@ def identified(
         )
     )
     log("identify", *records)
-
-
-def promoted(
-    version: Version,
-    candidate: Candidate,
-    before: Mapping[str, float] | None,
-    decision: Decision,
-    settings: Mapping[str, Any],
-) -> None:
-    """Log a comparison of new networks with those in use."""
-    ratios: dict[str, float | None] = {"mean_ratio": decision.mean_ratio, "version": float(version.number)}
-    if decision.worst is not None:
-        ratios["worst_ratio"] = decision.worst[1]
-    metrics: dict[str, float | None] = {f"new_error_pct/{name}": value for name, value in candidate.figures.items()}
-    metrics |= {f"acceptance/{test['name']}": test["figure"] for test in candidate.tests}
-    metrics |= {f"champion_error_pct/{name}": value for name, value in (before or {}).items()}
-    log(
-        "promote",
-        Record(
-            f"version {version.number}",
-            identity("promote", version.sha256, dict(before or {}), list(candidate.tests), decision.reason),
-            params={"decision": "promoted" if decision.promoted else "refused", "reason": decision.reason}
-            | flat(settings["promotion"]),
-            metrics={name: value if value is None else round(value, 5) for name, value in (metrics | ratios).items()},
-            tags={"profile": settings["profile"]},
-            datasets={"models": version.sha256},
-        ),
-    )
 
 
 def _shown(metric: str, value: float | None) -> float | None:

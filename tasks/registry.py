@@ -3,7 +3,7 @@
 A version is an MLflow model that can be served, and is known by the hash of its networks, so registering the same again
 changes nothing. A version that fails a physical test is never promoted. Else validation figures (errors in per cent,
 smaller is better) are compared with the champion's, both on the same driving: the new one takes the alias unless it is
-worse. The one before keeps the alias ``previous``, to go back to.
+worse. The one before keeps the alias ``previous``, to go back to (:mod:`tasks.rollback`).
 """
 
 from __future__ import annotations
@@ -27,6 +27,10 @@ _DESCRIPTION = (
     "Everything that is learned from laboratory data: empirical maps, actuator operators, multi-head bodies. The alias "
     f"`{CHAMPION}` marks the version in use; tags say why a version got it or not."
 )
+# A version's tag `use`: in use, `superseded by version N`, or taken out; none where it never was in use.
+USE, IN_USE, OUT = "use", "in use", "taken out"
+OUT_REASON, OUT_DATE = "taken_out.reason", "taken_out.date"
+
 _HASH = "dieseltwin.sha256"
 _ACCEPTANCE = "acceptance"
 _TESTS = "acceptance.json"
@@ -175,8 +179,23 @@ class Registry:
 
         Raises ``MlflowException`` where the registry cannot be read: that is no answer.
         """
-        number = self._aliases().get(alias)
+        number = self.number(alias)
         return None if number is None else self._checked(self.client.get_model_version(NAME, str(number)))
+
+    def number(self, alias: str) -> int | None:
+        """Number of the version of an alias, whatever became of its files; None where nothing carries it."""
+        found = self._aliases().get(alias)
+        return None if found is None else int(found)
+
+    def numbered(self, number: int) -> Version | None:
+        """The version of a number; None where there is none or where its files are gone or changed."""
+        found = [known for known in self.versions() if int(known.version) == number]
+        return self._checked(found[0]) if found else None
+
+    def versions(self, sha256: str | None = None) -> list[Any]:
+        """MLflow's entries of all versions, or of those whose networks have that hash."""
+        known = self.client.search_model_versions(f"name='{NAME}'")
+        return [one for one in known if sha256 is None or one.tags.get(_HASH) == sha256]
 
     def refusal(self) -> tuple[int, str] | None:
         """Number of the version that was refused last, and why; None where none was."""
@@ -213,11 +232,10 @@ class Registry:
 
     def _held(self, sha256: str) -> Version | None:
         """The version of networks of that hash, if it is whole and can be served."""
-        for known in self.client.search_model_versions(f"name='{NAME}'"):
-            if known.tags.get(_HASH) == sha256:
-                version = self._checked(known)
-                if version is not None and version.served:
-                    return version
+        for known in self.versions(sha256):
+            version = self._checked(known)
+            if version is not None and version.served:
+                return version
         return None
 
     def record(self, version: Version, decision: Decision, tests: Sequence[Mapping[str, Any]] = ()) -> None:
@@ -234,11 +252,8 @@ class Registry:
         else:
             (version.folder / _TESTS).unlink(missing_ok=True)
         present = self.client.get_model_version(NAME, number).tags
-        for key in sorted(set(present) - set(tags)):
-            if key == "mean_ratio" or key.partition(".")[0] == _ACCEPTANCE:
-                self.client.delete_model_version_tag(NAME, number, key)
-        for key, value in tags.items():
-            self.client.set_model_version_tag(NAME, number, key, value)
+        known = {name for name in present if name == "mean_ratio" or name.partition(".")[0] == _ACCEPTANCE}
+        self.tag(number, tags | dict.fromkeys(known - set(tags)))
         if not decision.promoted:
             self.client.set_registered_model_alias(NAME, CHALLENGER, number)
             return
@@ -246,9 +261,26 @@ class Registry:
         before = aliases.get(CHAMPION)
         if before is not None and str(before) != number:
             self.client.set_registered_model_alias(NAME, PREVIOUS, str(before))
-        if str(aliases.get(CHALLENGER)) == number:
+            self.tag(str(before), {USE: superseded_by(number)})
+        for same in self.versions(version.sha256):
+            self.tag(str(same.version), {USE: None, OUT_REASON: None, OUT_DATE: None})
+        self.put_in_use(number)
+
+    def put_in_use(self, number: str) -> None:
+        """Give a version the champion's alias, and say so in its tags."""
+        if str(self.client.get_registered_model(NAME).aliases.get(CHALLENGER)) == number:
             self.client.delete_registered_model_alias(NAME, CHALLENGER)
         self.client.set_registered_model_alias(NAME, CHAMPION, number)
+        self.tag(number, {USE: IN_USE, OUT_REASON: None, OUT_DATE: None})
+
+    def tag(self, number: str, tags: Mapping[str, str | None]) -> None:
+        """Set tags of a version; those without a value are deleted."""
+        present = self.client.get_model_version(NAME, number).tags
+        for key, value in tags.items():
+            if value is not None:
+                self.client.set_model_version_tag(NAME, number, key, value)
+            elif key in present:
+                self.client.delete_model_version_tag(NAME, number, key)
 
     def _checked(self, found: Any) -> Version | None:
         wanted = found.tags.get(_HASH)
@@ -257,6 +289,11 @@ class Registry:
 
     def _folder(self, source: str) -> Path:
         return self.tracker.workspace.mlruns / "artifacts" / source.removeprefix(_SCHEME).lstrip("/")
+
+
+def superseded_by(number: int | str) -> str:
+    """The tag `use` of a version in whose place a better one came."""
+    return f"superseded by version {number}"
 
 
 def _told(test: Mapping[str, Any]) -> str:
