@@ -58,7 +58,7 @@ def pretrain(profile: str, settings: dict[str, Any] | None = None) -> str:
         )
     trained = {name: waiting.result() for name, waiting in pending.items()}
     models = publish(root / "models", steps.files_to_publish(trained))
-    records.pretrained(trained, lab, settings)
+    records.pretrained(trained, models, lab, settings)
     return models.sha256
 
 

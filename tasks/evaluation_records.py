@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from tasks.evaluation_plan import Plan
-from tasks.records import curves_of, identity
+from tasks.records import curves_of, identity, settings_hash
 from tasks.run_context import current
 from tasks.store import RUNTIME, Artifact
 from tasks.tracking import Curve, Record, Tracker, view
@@ -42,8 +43,10 @@ def evaluated(
     experiment = tracker.experiment(NAME, NOTE, VIEW)
     datasets = {name: artifact.sha256 for name, artifact in inputs.items()}
     tags = {"profile": settings["profile"], "level": _WHOLE}
+    hashed = settings_hash(NAME, settings)
     for plan, artifact in zip(plans, found.values(), strict=True):
-        tracker.log(experiment, _ensemble(plan, artifact, tags, datasets))
+        one = _ensemble(plan, artifact, tags, datasets)
+        tracker.log(experiment, replace(one, params={**hashed, **one.params}))
     metrics = json.loads((common.path / "metrics.json").read_text(encoding="utf-8"))
     flat = {
         f"{method}/{name}": None if value is None else round(value, 4)
@@ -56,7 +59,7 @@ def evaluated(
         Record(
             "tables",
             identity("tables", common.sha256, page.sha256),
-            params={"ensembles": ", ".join(plan.slug for plan in plans)},
+            params=hashed | {"ensembles": ", ".join(plan.slug for plan in plans)},
             metrics=flat,
             artifacts={
                 **{path.name: path for path in sorted(common.path.glob("*.csv"))},

@@ -208,7 +208,11 @@ def promote(
             worst_ratio_max=limits["worst_ratio_max"], failures=candidate.failures,
         )  # fmt: skip
     experiment = records.experiment("promote")
-    version = store.register(candidate.networks, candidate.model, experiment, {"profile": settings["profile"]})
+    origin, params = records_promotion.training_of(candidate.networks, settings)
+    version = store.register(
+        candidate.networks, candidate.model, experiment, {"profile": settings["profile"], **origin},
+        params=params, metrics=records_promotion.measured(candidate),
+    )  # fmt: skip
     records_promotion.promoted(version, candidate, before, decision, settings)
     store.record(version, decision, candidate.tests)
     verb = f"is {CHAMPION}" if decision.promoted else "is not promoted"

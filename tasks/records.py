@@ -9,12 +9,13 @@ import hashlib
 import json
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from tasks.run_context import current, seconds_of
 from tasks.store import Artifact
-from tasks.tracking import Curve, Record, Tracker, flat, view
+from tasks.tracking import Curve, Record, Tracker, digest_of, flat, view
 
 # Experiments in the order of the chain; MLflow shows the note above the table.
 EXPERIMENTS = {
@@ -38,6 +39,18 @@ EXPERIMENTS = {
     "decision is a run, roll-backs too. The versions are under Models.",
 }
 
+
+# Sections of params.yaml that the results of a flow rest on.
+SECTIONS = {
+    "simulate": ("engine", "driving", "noise"),
+    "pretrain": ("seed", "engine", "driving", "noise", "pretrain"),
+    "identify": ("seed", "engine", "noise", "identify"),
+    "discover": ("discover", "learn"),
+    "prove": ("discover", "learn", "proof"),
+    "watch": ("discover", "learn", "watch"),
+    "promote": ("engine", "driving", "noise", "identify", "promotion"),
+    "evaluate": ("seed", "engine", "noise", "pretrain", "identify", "evaluation"),
+}
 
 _HEALTH = ("A_egrmax", "A_vgtmax", "eta_sc", "h_tot")
 
@@ -102,10 +115,22 @@ def experiment(name: str) -> str:
     return _tracker().experiment(name, EXPERIMENTS[name], VIEWS[name])
 
 
-def log(name: str, *records: Record) -> None:
-    tracker, experiment_id = _tracker(), experiment(name)
-    for record in records:
-        tracker.log(experiment_id, record)
+def log(name: str, settings: Mapping[str, Any], *records: Record) -> list[str]:
+    """Log records of a flow, each with the hash of the settings that the flow's results rest on; returns run ids."""
+    tracker, experiment_id, hashed = _tracker(), experiment(name), settings_hash(name, settings)
+    return [tracker.log(experiment_id, replace(one, params={**hashed, **one.params})) for one in records]
+
+
+def settings_hash(name: str, settings: Mapping[str, Any]) -> dict[str, str]:
+    """A parameter ``params_sha256``: the sections of the settings that a flow's results rest on, as of the report."""
+    from dieseltwin.settings.params import params_sha256
+
+    return {"params_sha256": params_sha256({section: settings[section] for section in SECTIONS[name]})}
+
+
+def last_with(name: str, tag: str, value: str) -> Any | None:
+    """MLflow's entry of the last finished run of a flow with that tag; None where there is none."""
+    return _tracker().last_with(experiment(name), tag, value)
 
 
 def tracked(name: str, tag: str, value: str) -> frozenset[str]:
@@ -121,6 +146,11 @@ def made_by(artifact: Artifact) -> dict[str, str]:
     """Tags that tell runs of one name apart: the result's key in the cache, and a digest of the code that made it."""
     manifest = current().store.manifest(artifact)
     return {"key": manifest["key"], "code_digest": identity(manifest["provenance"]["modules"])[:12]}
+
+
+def outputs(**made: Artifact) -> dict[str, str]:
+    """Tags that name what a run made as the runs that use it show it: `models`, `field recordings`, and the digest."""
+    return {name.replace("_", " "): digest_of(artifact.sha256) for name, artifact in made.items()}
 
 
 def read(path: Path) -> Any:
@@ -146,17 +176,23 @@ def simulated(sets: Artifact, recordings: Artifact, pictures: Artifact, settings
         params=flat({name: settings[name] for name in ("engine", "driving", "noise")}),
         metrics={**rows, "seconds": seconds_of(sets) + seconds_of(recordings)},
         artifacts=files(pictures.path, "*.png", "pictures/"),
-        tags={"profile": settings["profile"], **made_by(recordings)},
+        tags={
+            "profile": settings["profile"],
+            **made_by(recordings),
+            **outputs(laboratory_recordings=recordings / "lab", field_recordings=recordings / "field"),
+        },
         seconds=seconds_of(sets) + seconds_of(recordings),
     )
-    log("simulate", record)
+    log("simulate", settings, record)
 
 
-def pretrained(trained: Mapping[str, Artifact], data: Artifact, settings: Mapping[str, Any]) -> None:
-    """Log each training: errors by output, curves, settings, time."""
+def pretrained(
+    trained: Mapping[str, Artifact], models: Artifact, data: Artifact, settings: Mapping[str, Any]
+) -> None:
+    """Log each training: errors by output, curves, settings, time; and ``models``, which they make together."""
     import pandas as pd
 
-    records = []
+    records, tags = [], {"profile": settings["profile"]}
     for name, artifact in trained.items():
         group, _, kind = name.partition("_")
         errors = read(artifact.path / "errors.json")
@@ -182,12 +218,26 @@ def pretrained(trained: Mapping[str, Artifact], data: Artifact, settings: Mappin
                 metrics={**metrics, "seconds": seconds_of(artifact)},
                 curves=curves,
                 artifacts={path.name: path for path in sorted(artifact.path.glob("*.*")) if path.suffix != ".pt"},
-                tags={"profile": settings["profile"], "kind": kind or "-", **made_by(artifact)},
+                tags=tags | {"kind": kind or "-"} | made_by(artifact) | outputs(networks=artifact),
                 seconds=seconds_of(artifact),
                 datasets={"laboratory recordings": data.sha256},
             )
         )
-    log("pretrain", *records)
+    runs = log("pretrain", settings, *records)
+    whole = Record(
+        "models",
+        identity("models", models.sha256),
+        params=flat({name: settings[name] for name in SECTIONS["pretrain"]}),
+        metrics={"seconds": sum(map(seconds_of, trained.values()))},
+        tags={
+            **tags,
+            **outputs(models=models),
+            **{f"run.{name}": run_id for name, run_id in zip(trained, runs, strict=True)},
+        },
+        description="The folder `models/`. Tags `run.…` are the ids of the runs that trained its parts.",
+        datasets={"laboratory recordings": data.sha256},
+    )
+    log("pretrain", settings, whole)
 
 
 def identified(
@@ -254,7 +304,7 @@ def identified(
             datasets=datasets,
         )
     )
-    log("identify", *records)
+    log("identify", settings, *records)
 
 
 def _shown(metric: str, value: float | None) -> float | None:

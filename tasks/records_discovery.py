@@ -63,7 +63,7 @@ def discovered(
                 datasets={name: inputs[name].sha256} | beside,
             )
         )
-    log("discover", *records)
+    log("discover", settings, *records)
 
 
 def document_metrics(document: Mapping[str, Any]) -> Iterator[tuple[str, float | None]]:
@@ -133,7 +133,7 @@ def proved(scored: Artifact, made: Artifact, settings: Mapping[str, Any]) -> Non
         )
         for name, lines in document["baselines"].items()
     ]
-    log("prove", record, *baselines)
+    log("prove", settings, record, *baselines)
 
 
 def _machine(row: Mapping[str, Any], sha256: str) -> Record:

@@ -7,9 +7,10 @@ from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import Any
 
-from tasks.records import identity, log
+from tasks.records import identity, last_with, log, settings_hash
 from tasks.registry import Candidate, Decision, Version
-from tasks.tracking import Record, flat
+from tasks.store import Artifact
+from tasks.tracking import COMMIT, DIRTY, Record, commit, digest_of, flat
 
 
 def promoted(
@@ -23,11 +24,11 @@ def promoted(
     ratios: dict[str, float | None] = {"mean_ratio": decision.mean_ratio, "version": float(version.number)}
     if decision.worst is not None:
         ratios["worst_ratio"] = decision.worst[1]
-    metrics: dict[str, float | None] = {f"new_error_pct/{name}": value for name, value in candidate.figures.items()}
-    metrics |= {f"acceptance/{test['name']}": test["figure"] for test in candidate.tests}
+    metrics = measured(candidate)
     metrics |= {f"champion_error_pct/{name}": value for name, value in (before or {}).items()}
     log(
         "promote",
+        settings,
         Record(
             f"version {version.number}",
             _now(),
@@ -40,6 +41,24 @@ def promoted(
     )
 
 
+def measured(candidate: Candidate) -> dict[str, float | None]:
+    """What is known of new networks as metrics: errors on the validation driving, figures of the physical tests."""
+    metrics: dict[str, float | None] = {f"new_error_pct/{name}": value for name, value in candidate.figures.items()}
+    return metrics | {f"acceptance/{test['name']}": test["figure"] for test in candidate.tests}
+
+
+def training_of(networks: Artifact, settings: Mapping[str, Any]) -> tuple[dict[str, str], dict[str, str]]:
+    """Tags and parameters that tell how networks were trained: those of the run ``models`` that made them; where it is
+    unknown to this database, the commit and the settings of today."""
+    run = last_with("pretrain", "models", digest_of(networks.sha256))
+    if run is None:
+        return {**commit(), **settings_hash("pretrain", settings)}, {}
+    params = dict(run.data.params)
+    known = {name: run.data.tags[name] for name in (COMMIT, DIRTY) if name in run.data.tags}
+    hashed = {name: params[name] for name in ("params_sha256",) if name in params}
+    return {**known, **hashed, "trained_in": run.info.run_id}, params
+
+
 def rolled_back(back: Version, out: int | None, reason: str, settings: Mapping[str, Any]) -> None:
     """Log that an earlier version is in use again, in place of the version ``out``."""
     record = Record(
@@ -50,7 +69,7 @@ def rolled_back(back: Version, out: int | None, reason: str, settings: Mapping[s
         tags={"profile": settings["profile"]},
         datasets={"models": back.sha256},
     )
-    log("promote", record)
+    log("promote", settings, record)
 
 
 def _now() -> str:

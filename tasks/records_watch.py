@@ -41,4 +41,4 @@ def watched(
         seconds=sum(seconds_of(found[name]) for name in batch.added),
         datasets=named,
     )
-    log("watch", record)
+    log("watch", settings, record)

@@ -204,9 +204,19 @@ class Registry:
             return None
         return int(number), self.client.get_model_version(NAME, str(number)).tags.get("reason", "for no stated reason")
 
-    def register(self, networks: Artifact, model: Artifact, experiment_id: str, tags: Mapping[str, str]) -> Version:
+    def register(
+        self,
+        networks: Artifact,
+        model: Artifact,
+        experiment_id: str,
+        tags: Mapping[str, str],
+        *,
+        params: Mapping[str, Any] | None = None,
+        metrics: Mapping[str, float | None] | None = None,
+    ) -> Version:
         """The version of these networks, made if it is new; the files of the model that holds them are copied beside
-        MLflow's other artifacts, anew where they were lost or damaged.
+        MLflow's other artifacts, anew where they were lost or damaged. ``params`` and ``metrics`` are shown by the run
+        that MLflow names as the version's source.
 
         Raises ``StepFailed`` where what was copied isn't what was given: no version is made of it then.
         """
@@ -216,6 +226,7 @@ class Registry:
         files = {f"{_FOLDER}/{path.relative_to(model.path).as_posix()}": path for path in _files(model.path)}
         record = Record(
             "networks", f"registry model {networks.sha256}", artifacts=files, tags=dict(tags),
+            params=params or {}, metrics=metrics or {}, datasets={"models": networks.sha256},
             description="Files of a version.",
         )  # fmt: skip
         run_id = self.tracker.log(experiment_id, record)

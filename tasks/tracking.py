@@ -30,6 +30,7 @@ from tasks.workspace import PROJECT, Workspace
 
 _SCHEME = "mlflow-artifacts:/"
 _IDENTITY = "dieseltwin.result"
+COMMIT, DIRTY = "mlflow.source.git.commit", "git.dirty"
 
 # MLflow's "share view": columns and order of a table, stored with the experiment under a key that the address names.
 _VIEW_TAG = "mlflow.sharedViewState."
@@ -156,13 +157,19 @@ class Tracker:
             if not token:
                 return frozenset(digests)
 
+    def last_with(self, experiment_id: str, tag: str, value: str) -> Any | None:
+        """MLflow's entry of the last finished run with that tag; None where there is none."""
+        asked = f"tags.`{tag}` = '{value}' and attributes.status = 'FINISHED'"
+        found = self.client.search_runs([experiment_id], asked, max_results=1, order_by=["attributes.start_time DESC"])
+        return found[0] if found else None
+
     def _logged(self, experiment_id: str, record: Record, parent: str | None = None) -> str:
         ended = int(time.time() * 1000)
         tags = {"mlflow.runName": record.name, "mlflow.user": "dieseltwin", _IDENTITY: record.identity, **record.tags}
         if parent is not None:
             tags["mlflow.parentRunId"] = parent
         else:
-            tags |= _commit()
+            tags |= commit()
         if record.description:
             tags["mlflow.note.content"] = record.description
         run = self.client.create_run(
@@ -230,13 +237,21 @@ class Tracker:
 
 
 @lru_cache(maxsize=1)
-def _commit() -> Mapping[str, str]:
-    """MLflow's tag for the commit that is checked out; none where there is no git, or nothing was committed."""
+def commit() -> Mapping[str, str]:
+    """MLflow's tag for the commit that is checked out, and whether files of it were changed since; none where there is
+    no git, or nothing was committed. ``dvc.lock`` doesn't count: DVC writes it while it runs the stages."""
+    tags: dict[str, str] = {}
     with suppress(OSError, subprocess.CalledProcessError):
-        command = ("git", "-C", str(PROJECT), "rev-parse", "HEAD")
-        found = subprocess.run(command, capture_output=True, text=True, check=True)
-        return {"mlflow.source.git.commit": found.stdout.strip()}
-    return {}
+        tags[COMMIT] = _git("rev-parse", "HEAD")
+        changed = _git("status", "--porcelain", "--untracked-files=no", "--", ".", ":(exclude)dvc.lock")
+        tags[DIRTY] = str(bool(changed)).lower()
+    return tags
+
+
+def _git(*arguments: str) -> str:
+    # it may not write the index, which another git in the checkout may hold
+    command = ("git", "--no-optional-locks", "-C", str(PROJECT), *arguments)
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
 
 
 def _make_database(path: Path) -> None:

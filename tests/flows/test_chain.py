@@ -73,10 +73,23 @@ def test_the_chain_ends_with_results_report_and_records(chain: tuple[Path, set[s
     assert classical.data.metrics["seconds_per_run"] > 0.0
     assert {item.dataset.name for item in classical.inputs.dataset_inputs} == {"field recordings", "models"}
     trained = client.search_runs([client.get_experiment_by_name("pretrain").experiment_id])
+    whole = next(run for run in trained if run.info.run_name == "models")
+    trained.remove(whole)
     for made in (classical, *trained):
         assert list((root / ".cache").glob(f"*/{made.data.tags['key']}")) and len(made.data.tags["code_digest"]) == 12
         assert len(made.data.tags["mlflow.source.git.commit"]) == 40
     assert {"seed", "noise.label_rel", "engine.step_s"} <= trained[0].data.params.keys()
+
+    # What a run rests on leads to the runs that made it, under the same name.
+    data = client.search_runs([client.get_experiment_by_name("simulate").experiment_id])[0]
+    for used, makers in ((classical, {"models": whole, "field recordings": data}),
+                         (whole, {"laboratory recordings": data})):  # fmt: skip
+        shown = {item.dataset.name: item.dataset.digest for item in used.inputs.dataset_inputs}
+        assert shown == {name: maker.data.tags[name] for name, maker in makers.items()}
+    assert {f"run.{run.info.run_name}": run.info.run_id for run in trained}.items() <= whole.data.tags.items()
+    comparison = next(run for run in runs if run.info.run_name == "comparison")
+    assert comparison.data.params["params_sha256"] == classical.data.params["params_sha256"]
+    assert whole.data.params["params_sha256"] != classical.data.params["params_sha256"]
 
 
 @pytest.mark.flow

@@ -10,11 +10,11 @@ import tiny_settings
 from test_registry import networks
 
 from dieseltwin.errors import InputError
-from tasks import promote
+from tasks import promote, records, tracking
 from tasks.registry import CHAMPION, NAME, OUT, OUT_DATE, OUT_REASON, PREVIOUS, USE, Candidate, Registry
 from tasks.rollback import BY_HAND, take_note, target
 from tasks.settings import load_settings
-from tasks.tracking import Tracker
+from tasks.tracking import Record, Tracker
 
 pytestmark = pytest.mark.flow
 
@@ -108,6 +108,22 @@ def test_an_alias_that_was_moved_by_hand_stays_where_it_was_put(room: Engineroom
     assert room.numbers() == (1, None) and room.tags(2)[OUT_REASON] == BY_HAND
     room.registry.client.set_registered_model_alias(NAME, CHAMPION, "2")
     assert take_note(room.registry) == [1] and room.tags(2)[USE] != OUT and OUT_DATE not in room.tags(2)
+
+
+def test_a_version_says_how_its_networks_were_trained(room: Engineroom, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the run that made them, whatever is checked out today; and what is known of them stands at its source run."""
+    networks_of_a = room.candidate("a").networks
+    record = Record("models", "a", params={"seed": 7}, tags=records.outputs(models=networks_of_a))
+    monkeypatch.setattr(tracking, "commit", lambda: {"mlflow.source.git.commit": "1" * 40, "git.dirty": "true"})
+    (trained,) = records.log("pretrain", room.settings, record)
+    monkeypatch.setattr(tracking, "commit", lambda: {"mlflow.source.git.commit": "2" * 40, "git.dirty": "false"})
+    assert room.promote("a") and room.promote("b")
+    first, second = room.tags(1), room.tags(2)
+    assert (first["trained_in"], first["mlflow.source.git.commit"], first["git.dirty"]) == (trained, "1" * 40, "true")
+    assert "trained_in" not in second and len(first["params_sha256"]) == len(second["params_sha256"]) == 64
+    source = room.registry.client.get_run(room.registry.client.get_model_version(NAME, "1").run_id)
+    assert source.data.params["seed"] == "7" and source.data.metrics["new_error_pct/e"] == 1.0
+    assert [given.dataset.digest for given in source.inputs.dataset_inputs] == [networks_of_a.sha256[:12]]
 
 
 def test_only_a_whole_version_that_was_in_use_is_gone_back_to(room: Engineroom) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
@@ -65,6 +66,36 @@ def test_the_same_result_is_logged_once_and_a_cut_off_run_again(tracked: tuple[P
     tracker.client.delete_run(again)
     tracker.client.restore_run(run_id)
     tracker.client.update_run(run_id, status="FINISHED")
+
+
+def test_a_run_says_whether_the_checkout_is_as_it_was_committed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def said() -> dict[str, str]:
+        tracking.commit.cache_clear()
+        return dict(tracking.commit())
+
+    def git(*arguments: str) -> None:
+        identity = ("-c", "user.name=x", "-c", "user.email=x@example.org")
+        subprocess.run(("git", "-C", str(tmp_path), *identity, *arguments), check=True, capture_output=True)
+
+    monkeypatch.setattr(tracking, "PROJECT", tmp_path)
+    monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(tmp_path.parent))
+    assert said() == {}
+    git("init")
+    for name in ("params.yaml", "dvc.lock"):
+        (tmp_path / name).write_text("one")
+    assert said() == {}
+    git("add", "."), git("commit", "-m", "one")
+    assert said()["git.dirty"] == "false" and len(said()["mlflow.source.git.commit"]) == 40
+    (tmp_path / "dvc.lock").write_text("of a run that is on")
+    (tmp_path / "drive.csv").write_text("somebody's own")
+    assert said()["git.dirty"] == "false"
+    (tmp_path / "params.yaml").write_text("two")
+    assert said()["git.dirty"] == "true"
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert said() == {}
+    tracking.commit.cache_clear()
 
 
 def test_a_moved_checkout_keeps_its_artifacts(tracked: tuple[Path, str, str], tmp_path: Path) -> None:
