@@ -294,7 +294,7 @@ ONLY_SHOWN = {"simulate": {"report"}, "identify": {"driving", "report"}}
 
 
 def sections_read(flow: str) -> set[tuple[str, ...]]:
-    """Paths in the settings that the text of a flow reads: ``settings["a"]["b"]`` is (a, b)."""
+    """Paths in the settings that the text of a flow reads: ``settings["a"]["b"]`` is (a, b), and names in a loop."""
     calls = {"about": ("seed", "profile"), "own_settings": ("identify", "engine", "noise")}
     found: set[tuple[str, ...]] = set()
 
@@ -302,6 +302,8 @@ def sections_read(flow: str) -> set[tuple[str, ...]]:
         if isinstance(node, ast.Subscript) and isinstance(node.slice, ast.Constant):
             visit(node.value, (str(node.slice.value), *behind))
             return
+        if isinstance(node, ast.DictComp | ast.GeneratorExp) and "settings[name]" in ast.unparse(node):
+            found.update((str(name),) for name in ast.literal_eval(node.generators[0].iter))
         if isinstance(node, ast.Name) and node.id == "settings" and behind:
             found.add(behind)
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in calls:
@@ -315,20 +317,41 @@ def sections_read(flow: str) -> set[tuple[str, ...]]:
     return found - {("profile",)}
 
 
+# Values of params.yaml that are no section: no profile replaces them, as DVC wants what a stage names to be there.
+COMMON = {"seed"}
+
+
+def settings_read(stage: str) -> set[tuple[str, ...]]:
+    """Paths in the settings that a stage's results rest on: what its flow reads, what its steps look up themselves."""
+    read = {path for path in sections_read(stage) if path[0] not in ONLY_SHOWN.get(stage, ())}
+    return read | {(name,) for step in steps_of_stages()[stage] for name in step.sections}
+
+
 def test_a_stage_declares_every_setting_that_its_flow_reads_in_common_and_in_its_profile() -> None:
     for stage in steps_of_stages():
         declared = {str(name) for name in dvc_stages()[stage]["params"]}
         profile = re.search(r"--profile (\S+)", dvc_stages()[stage]["cmd"])
         assert profile is not None
-        whole = f"profiles.{profile.group(1)}"
-        read = {path for path in sections_read(stage) if path[0] not in ONLY_SHOWN.get(stage, ())}
-        read |= {(name,) for step in steps_of_stages()[stage] for name in step.sections}
+        read = settings_read(stage)
         assert read, stage
         for path in read:
             parents = {".".join(path[:depth]) for depth in range(1, len(path) + 1)}
             assert parents & declared, f"{stage}: {'.'.join(path)} isn't among the params"
-            replaced = {whole, *(f"{whole}.{name}" for name in parents)}
-            assert replaced & declared, f"{stage}: {'.'.join(path)} of the profile isn't among the params"
+            replaced = {f"profiles.{profile.group(1)}.{name}" for name in parents}
+            assert path[0] in COMMON or replaced & declared, f"{stage}: {'.'.join(path)} of the profile isn't"
+        sections = {path[0] for path in read}
+        for name in declared:
+            section = name.removeprefix(f"profiles.{profile.group(1)}.").partition(".")[0]
+            assert section in sections, f"{stage}: reads nothing of {name}, which runs it again"
+
+
+def test_every_profile_has_the_sections_that_stages_name() -> None:
+    """A parameter that isn't there is an error of DVC's; an empty section changes nothing."""
+    profiles = yaml.safe_load((PROJECT / "params.yaml").read_text(encoding="utf-8"))["profiles"]
+    named = {path[0] for stage in steps_of_stages() for path in settings_read(stage)} - COMMON
+    for name, profile in profiles.items():
+        assert named <= set(profile), f"{name}: lacks {sorted(named - set(profile))}"
+        assert not COMMON & set(profile), f"{name}: replaces what DVC doesn't compare"
 
 
 def test_flows_hold_order_only() -> None:

@@ -83,7 +83,7 @@ def test_unknown_key_inside_a_named_case(tmp_path: Path, text: str) -> None:
 
 
 def test_unknown_key_in_a_profile_names_the_profile(tmp_path: Path, text: str) -> None:
-    message = refusal(changed(tmp_path, text, "  paper: {}", "  paper: {seeed: 3}"), "paper")
+    message = refusal(changed(tmp_path, text, "    {engine: {},", "    {seeed: 3, engine: {},"), "paper")
     assert "profiles.paper" in message and "did you mean seed?" in message
 
 
@@ -153,7 +153,7 @@ def test_hash_is_of_the_numbers_not_of_the_text(tmp_path: Path, project_root: Pa
 
 
 def test_a_profile_replaces_single_values_only(tmp_path: Path, text: str) -> None:
-    path = changed(tmp_path, text, "  paper: {}", "  paper: {noise: {p_im_rel: 0.07}}")
+    path = changed(tmp_path, text, "driving: {}, noise: {},", "driving: {}, noise: {p_im_rel: 0.07},")
     noise = load_params(path, "paper").noise
     assert noise.p_im_rel == 0.07 and noise.p_em_rel == 0.03
 
