@@ -289,6 +289,23 @@ def test_a_stage_depends_on_every_module_and_file_that_its_steps_rest_on() -> No
         assert all((PROJECT / dep).exists() for dep in deps if dep not in made)
 
 
+def test_stages_find_the_environment_of_the_checkout_or_the_active_one(tmp_path: Path) -> None:
+    """`dvc exp run --temp` runs them in a copy without `.venv`, DVC_ROOT names the checkout."""
+    variables = yaml.safe_load((PROJECT / "dvc.yaml").read_text(encoding="utf-8"))["vars"]
+    said = next(one["python"] for one in variables if "python" in one)
+    copy = tmp_path / "checkout" / ".dvc" / "tmp"
+    for name, folder in (("own", tmp_path / "checkout" / ".venv" / "bin"), ("active", tmp_path / "bin")):
+        folder.mkdir(parents=True)
+        (folder / "python").write_text(f"#!/bin/sh\necho {name} $1\n")
+        (folder / "python").chmod(0o755)
+    copy.mkdir(parents=True)
+    for root, name in ((tmp_path / "checkout", "own"), (tmp_path / "elsewhere", "active")):
+        environment = {"PATH": f"{tmp_path / 'bin'}{os.pathsep}{os.defpath}", "DVC_ROOT": str(root)}
+        command = ("sh", "-c", f"{said} -m")
+        ended = subprocess.run(command, cwd=copy, env=environment, capture_output=True, text=True, check=True)
+        assert ended.stdout == f"{name} -m\n"
+
+
 # What only the pictures in reports/ read, which are no outs of the stage.
 ONLY_SHOWN = {"simulate": {"report"}, "identify": {"driving", "report"}}
 
