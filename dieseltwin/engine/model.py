@@ -119,8 +119,11 @@ def added(quantity: Array, signal: Array) -> Array:
 
 
 def driven(x: OperatingPoint, m: Magnitudes, s: Signals, c: Constants) -> OperatingPoint:
-    """The operating point with injected mass [mg/cycle], no less than none, and actuator positions [%] as they are."""
-    u_delta = at_u_delta(maximum(relative(x.u_delta, s.u_delta), 0.0), x, m, c)
+    """The operating point with injected mass [mg/cycle] and actuator positions [%] as they really are.
+
+    Of fuel there is no less than a hundredth of a milligram: none, but quotients of flows stay finite.
+    """
+    u_delta = at_u_delta(maximum(relative(x.u_delta, s.u_delta), 0.01), x, m, c)
     u_egr = at_u_egr(added(x.u_egr, s.u_egr), x, m, c)
     u_vgt = at_u_vgt(added(x.u_vgt, s.u_vgt), x, m, c)
     return OperatingPoint(x.p_im, x.p_em, x.omega_t, x.x_r, x.T_1, x.n_e, u_delta, u_egr, u_vgt)
