@@ -253,7 +253,7 @@ def _refit_as_signals(
                 step = _SHAPE_STEP * amount
                 slope = (_term(placed, variables, amount + step, n) - _term(placed, variables, amount, n)) / step
             size = scale / max(float(np.max(np.abs(slope))), 1e-300)
-            signals.append(slope * size)
+            signals.append(np.nan_to_num(slope * size, posinf=0.0, neginf=0.0))  # a quotient by what there is none of
             points.append(item.index)
             sizes.append(size)
     responses = signal_responses(at.twin, base_lanes, at.simulated, points, np.stack(signals))
