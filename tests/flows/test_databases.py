@@ -74,8 +74,8 @@ def test_errors_of_their_databases_are_one_line_and_others_keep_their_traceback(
 
 
 def test_a_disk_that_is_full_or_may_not_be_written_is_one_line_with_its_own_advice() -> None:
-    full = databases.failure(OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "/project/.cache/a"), "sqlite://")
-    assert full == "/project/.cache/a: No space left on device; what was computed is kept: free some space, and run again"
+    full = databases.failure(OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "/here/.cache/a"), "sqlite://")
+    assert full == "/here/.cache/a: No space left on device; what was computed is kept: free some space, and run again"
     fixed = databases.failure(OSError(errno.EROFS, os.strerror(errno.EROFS)), "sqlite://")
     assert fixed is not None and fixed.startswith("the disk: Read-only file system;") and "make it writable" in fixed
     assert databases.failure(FileNotFoundError(errno.ENOENT, "No such file", "ours.csv"), "sqlite://") is None
