@@ -23,7 +23,7 @@ from dieseltwin.discovery.twins.diesel import EngineTwin
 from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.discovery.verdict.explained import disagreement
 from dieseltwin.discovery.verdict.health_value import SinceReference
-from dieseltwin.discovery.verdict.over_recordings import health_places
+from dieseltwin.discovery.verdict.over_recordings import health_values
 from dieseltwin.discovery.verdict.since_reference import no_better_than_then, since_reference
 from dieseltwin.engine import HEALTH, EngineParameters
 from dieseltwin.errors import InputError
@@ -181,13 +181,8 @@ def _health(found: Search, learned: LearnedEngine | None) -> dict[str, Tolerant]
     apart = disagreement(found, found.null)
     then = None if learned is None else relative_health_std(learned)
     covariance = no_better_than_then(cast(Array, fit.covariance) + np.diag(apart**2), fit.parameters, then)
-    std, since = np.sqrt(np.diag(covariance)), since_reference(found.null, found.twin, apart)
-    places = zip(HEALTH, health_places(found.twin), strict=True)
-    return {
-        name: Tolerant(float(fit.parameters[j]), float(std[j]),
-                       None if since is None else SinceReference(value=float(since[0][j]), std=float(since[1][j])))
-        for name, j in places
-    }
+    told = health_values(found, (fit.parameters, covariance), since_reference(found.null, found.twin, apart))
+    return {name: Tolerant(one.value, cast(float, one.std), one.since_reference) for name, one in told.items()}
 
 
 def _together(parts: Sequence[Mapping[str, Tolerant]]) -> dict[str, Tolerant]:

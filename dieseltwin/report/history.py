@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 from dieseltwin.engine import HEALTH
 from dieseltwin.learning.alarm import Alarm, Course
-from dieseltwin.learning.history import Entry, TakenOut
+from dieseltwin.learning.history import HEALTHY, Entry, TakenOut
 from dieseltwin.notes import counted
 from dieseltwin.report import quantities, style
 from dieseltwin.report.discovery_words import magnitude_words, site_words
@@ -31,7 +31,7 @@ def sentence(entries: Sequence[Entry], course: Course, alarms_per_year: float) -
     span = f"{counted(len(entries), 'recording')}, {_days(entries[0].moment, entries[-1].moment)}"
     alarm, last = course.alarm, entries[-1].verdict
     if alarm is None:
-        alone = "" if last == "healthy" else f"; but the last recording by itself shows {last}"
+        alone = "" if last == HEALTHY else f"; but the last recording by itself shows {last}"
         return (f"No alarm over {span}: the evidence for a change is {course.evidence[-1]:.2g} where "
                 f"{course.threshold:g} is an alarm ({rate}); wear of the health parameters is no alarm{alone}.")
     size = magnitude_words(alarm.name, alarm.size, alarm.std, alarm.unit, extra=False)
@@ -44,7 +44,7 @@ def sentence(entries: Sequence[Entry], course: Course, alarms_per_year: float) -
     if alarm.earliest.date() != alarm.latest.date():
         perhaps = f" (at the earliest {alarm.earliest:{_DAY}}, at the latest {alarm.latest:{_DAY}})"
     # the evidence adds up linear estimates, which a strong fault bends; a recording's verdict was refitted
-    expected = alarm.name in last.split(" or ") or (last == "healthy" and alarm.gone is None)
+    expected = alarm.name in last.split(" or ") or (last == HEALTHY and alarm.gone is None)
     alone = "" if expected else f"; the last recording by itself shows {last}"
     return (
         f"Alarm with the recording of {entries[alarm.at].moment:{_DAY}}: in {site_words(alarm.site)} something has "

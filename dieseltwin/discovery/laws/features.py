@@ -98,7 +98,7 @@ def generic_features(twin: Twin, fit: Fit) -> list[Feature]:
                 kind: Kind = "power" if values.min() > 0.0 else "signed_power"
                 form = Form(point.name, (Factor(kind, (port,), (size,), 1.0, (unit_of(port, {}),)),))
                 found.append(Feature(index, port, values / size, point.site, form=form))
-                if port == point.name and point.relative and values.min() >= 0.0 and np.std(values) > _WIDE * size:
+                if port == point.name and point.relative and kind == "power" and np.std(values) > _WIDE * size:
                     amount = Form(point.name, (Factor("power", (port,), (1.0,), -1.0, form.factors[0].units),))
                     found += _of_form(index, f"amount of {port}", amount, point.site, variables)
             if not point.relative and port.startswith("p_") and "p_amb" in variables:

@@ -18,7 +18,6 @@ import numpy as np
 
 from dieseltwin.discovery.laws.shapes import lagged, orifice, played, signed_power
 from dieseltwin.discovery.twins.interface import Array, Point
-from dieseltwin.engine.array_namespace import positive_power
 
 Kind = Literal[
     "power", "signed_power", "sign", "ratio", "share", "difference", "head", "orifice", "excess", "shortage",
@@ -276,8 +275,6 @@ class Form:
         """Shape of the signal, coefficient 1; `shape` replaces the first factor's. A form with an onset needs
         `time_s`."""
         total: Any = 1.0 if self.since_s is None else np.where(np.asarray(at["time_s"]) >= self.since_s, 1.0, 0.0)
-        if self.amount:  # nothing where nothing is asked for
-            return total * positive_power(np.asarray(at[self.point]), -1.0)
         for i, factor in enumerate(self.factors):
             total = total * factor.value(at, shape if i == 0 else None)
         return total

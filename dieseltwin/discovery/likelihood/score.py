@@ -130,18 +130,23 @@ def best_of_each(scored: Sequence[Scored]) -> list[Scored]:
 def as_fits(at: Linearisation, scored: Sequence[Scored]) -> list[Fit]:
     """The linear estimate of each effect that shows as a fit of its own, strongest first: what the parameters are
     beside it, and of its covariance the variance of the effect's size alone."""
-    rows, prior_std = at.projected.shape[1], np.array([p.prior_std for p in at.twin.parameters])
-    fits = []
+    count, fits = len(at.twin.parameters), []
     for item in best_of_each(scored):
         if not np.isfinite(item.std):
             continue
-        # `without_parameters` left what each parameter moves by beside its prior
-        moved = item.magnitude * item.projected[rows : rows + prior_std.size] * prior_std
-        covariance = np.diag(np.append(np.zeros(prior_std.size), item.std**2))
+        covariance = np.diag(np.append(np.zeros(count), item.std**2))
+        moved = item.magnitude * _moved_by(at, item)
         fits.append(replace(at.fit, candidate=Candidate((item.name,)), parameters=at.fit.parameters + moved,
                             magnitudes=np.array([item.magnitude]), objective=at.fit.objective - item.gain,
                             covariance=covariance))  # fmt: skip
     return fits
+
+
+def _moved_by(at: Linearisation, item: Scored) -> Array:
+    """What an effect that is fitted, too, moves the parameters of a fit by, (P,) [their units per unit]."""
+    rows, prior_std = at.projected.shape[1], np.array([p.prior_std for p in at.twin.parameters])
+    # `without_parameters` left what each parameter moves by beside its prior
+    return np.asarray(item.projected[rows : rows + prior_std.size] * prior_std)
 
 
 @dataclass(frozen=True)
@@ -209,14 +214,12 @@ def taken_for(at: Linearisation, scored: Sequence[Scored], gain: float) -> dict[
         at: the fit; scored: effects at it.
         gain: as of `minimum_detectable`.
     """
-    rows, std = at.projected.shape[1], np.array([p.prior_std for p in at.twin.parameters])
     moved: dict[str, Array] = {}
     for name, size in minimum_detectable(scored, gain).items():
         if not np.isfinite(size):  # it does nothing here: play in the drive of a valve that stands still
-            moved[name] = np.zeros(std.size)
+            moved[name] = np.zeros(len(at.twin.parameters))
             continue
         item = min((each for each in scored if each.name == name), key=lambda each: each.std)
         falls = at.twin.hypotheses[name].sign < 0.0
-        # `without_parameters` left what each parameter moves by beside its prior
-        moved[name] = (size if falls else -size) * item.projected[rows : rows + std.size] * std
+        moved[name] = (size if falls else -size) * _moved_by(at, item)
     return moved
