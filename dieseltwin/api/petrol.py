@@ -113,8 +113,7 @@ class PetrolQuestion(Question):
         return answers(folder, self.asked, self.recording.sha256)
 
     def answer(self) -> PetrolDiscovered:
-        engine_sha256 = str(self.asked["engine_sha256"])
-        return PetrolDiscovered(self, discover_petrol(self.recording, self.parameters, self.options, engine_sha256))
+        return PetrolDiscovered(self, discover_petrol(self.recording, self.parameters, self.options))
 
 
 def ask(

@@ -175,7 +175,7 @@ def document(result: PointsDiscovery) -> Discrepancy:
                             minimum_detectable(first.scored, first.settings.alarm_gain).items()
                             if np.isfinite(size) and name in EFFECTS},
         health_bias=_health_bias(first),
-        provenance=Provenance(code_version=__version__, params_sha256="-"),
+        provenance=Provenance(code_version=__version__, params_sha256=result.options.sha256),
     )  # fmt: skip
     doubts = [*doubts_among(result.calibration.notes), *fit_doubts(made), *_law_notes(result, health)]
     return with_warnings(made, doubts)

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import hashlib
+import json
+from dataclasses import dataclass, field, fields
+
+from pydantic import BaseModel
 
 from dieseltwin.settings.defaults import default_discover, default_search
 from dieseltwin.settings.search import CircumstanceSettings, SearchSettings
@@ -25,6 +29,13 @@ class SearchOptions:
     def settings(self) -> SearchSettings:
         """For a search."""
         return self.search.asked(self.withhold, self.seed)
+
+    @property
+    def sha256(self) -> str:
+        """SHA-256 (hex) of everything that was chosen, what is decided by included, as canonical JSON."""
+        values = {item.name: getattr(self, item.name) for item in fields(self)}
+        plain = {k: v.model_dump(mode="json") if isinstance(v, BaseModel) else v for k, v in values.items()}
+        return hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()
 
 
 @dataclass(frozen=True, kw_only=True)

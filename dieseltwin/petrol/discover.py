@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from dieseltwin.discovery.likelihood.fit import Fit
+from dieseltwin.discovery.likelihood.fit import Fit, Linearisation
 from dieseltwin.discovery.likelihood.score import without_parameters
 from dieseltwin.discovery.options import SearchOptions
 from dieseltwin.discovery.search import run as shared
@@ -222,14 +222,15 @@ def _none_at_a_limit(found: Search) -> None:
 
 
 def discover_petrol(
-    recording: PetrolRecording, engine: PetrolParameters, options: PetrolOptions | None = None, params_sha256: str = ""
+    recording: PetrolRecording, engine: PetrolParameters, options: PetrolOptions | None = None
 ) -> PetrolDiscovery:
     """Judge a recording with a calibrated engine. What the repaired engine would find next is said beside the verdict:
     two faults of different channels add up in no balance, so that the first is explained to the full without it."""
     began = time.perf_counter()
+    options = options or PetrolOptions()
     twin, found = judge(engine, without_terms(engine, recording), options)
-    after = explained_at(found).simulated
-    document = _document(recording, engine, twin, found, after, params_sha256)
+    explained = explained_at(found)
+    after, document = explained.simulated, _document(recording, options, twin, found, explained)
     repaired = engine.model_copy(update={"terms": (*engine.terms, *_terms(recording, document))})
     hidden = () if document.mismatch else (
         minimum_detectable(twin, found, "grows"), minimum_detectable(twin, found, "always")
@@ -238,7 +239,7 @@ def discover_petrol(
     if len(repaired.terms) > len(engine.terms):
         other_twin, other = judge(repaired, without_terms(repaired, recording), options)
         if other.kind in NEXT and other.explained() > found.settings.missing_share * found.explained():
-            next_one = _document(recording, repaired, other_twin, other, explained_at(other).simulated, "")
+            next_one = _document(recording, options, other_twin, other, explained_at(other))
             document = _with_next(document, next_one, found.explained(), other.explained())
             told = f"{told} Beside it, {found_words(next_one)}: `discover` with the repaired engine tells more."
     return PetrolDiscovery(document, found, twin, repaired, after, told, recording.time0_s,
@@ -262,8 +263,7 @@ def _with_next(document: Discrepancy, next_one: Discrepancy, explained: float, l
 
 
 def _document(
-    recording: PetrolRecording, engine: PetrolParameters, twin: PetrolTwin, found: Search, after: Array,
-    params_sha256: str,
+    recording: PetrolRecording, options: PetrolOptions, twin: PetrolTwin, found: Search, explained: Linearisation
 ) -> Discrepancy:  # fmt: skip
     mismatch = found.kind != "healthy"
     null, at = found.null, found.best or found.null
@@ -281,9 +281,9 @@ def _document(
                                 before=float(null.fit.parameters[j]))
             for j, p in enumerate(twin.parameters)
         },
-        fit=fit_figures(found, after, allowance(found, after)),
+        fit=fit_figures(found, explained, allowance(found, explained.simulated)),
         minimum_detectable=minimum_detectable(twin, found),
-        provenance=Provenance(code_version=__version__, params_sha256=params_sha256 or engine.calibrated_on),
+        provenance=Provenance(code_version=__version__, params_sha256=options.sha256),
     )  # fmt: skip
     return with_warnings(made, [*twin.notes(), *fit_doubts(made)])
 

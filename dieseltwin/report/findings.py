@@ -207,7 +207,7 @@ def provenance(document: Discrepancy, *more: tuple[str, str]) -> list[tuple[str,
         ("p-value of no mismatch", f"{document.p_value:.3g}"),
         *more,
         ("code version", document.provenance.code_version),
-        ("SHA-256 of the parameters", document.provenance.params_sha256.strip("-")),
+        ("SHA-256 of the parameters", document.provenance.params_sha256),
     ]
     return [(name, value) for name, value in rows if value]
 

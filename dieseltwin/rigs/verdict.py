@@ -63,7 +63,7 @@ def document(result: RigDiscovery) -> Discrepancy:
         health={name: HealthValue(value=p.value, std=p.std, before=before[name].value) for name, p in after.items()},
         fit=_fit(result),
         minimum_detectable=finite_only(minimum_detectable(first.found.scored, first.found.settings.alarm_gain)),
-        provenance=Provenance(code_version=__version__, params_sha256="-"),
+        provenance=Provenance(code_version=__version__, params_sha256=result.options.sha256),
     )  # fmt: skip
     own = (*_unexplained(result, made.fit), *_step_notes(result), *_hold_notes(result))
     doubts = [*fit_doubts(made), *own, *recording.notes]

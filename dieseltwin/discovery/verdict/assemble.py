@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
 from typing import Any, cast
 
 import numpy as np
@@ -83,7 +81,7 @@ def assemble(
     sizes, differ = told_apart(found, days) if mismatch else ([], "")
     location = onset_of(findings.location(found, twin, evidence), found, days) if mismatch else None
     allowed, smallest = allowance(found, after), minimum_detectable(found.scored, found.settings.alarm_gain)
-    figures = fit_figures(found, after, allowed)
+    figures = fit_figures(found, at, allowed)
     rows = candidate_rows(found)
     curves = Curves(
         time_s=twin.recording_time_s, channels=twin.channels, measured=twin.measured, before=null.simulated,
@@ -113,7 +111,7 @@ def assemble(
             health=health_values(found, (parameters, covariance), since),
             fit=figures,
             minimum_detectable=finite_only(smallest), health_bias=unseen_bias(found),
-            provenance=Provenance(code_version=__version__, params_sha256=_options_hash(options)), reference=reference,
+            provenance=Provenance(code_version=__version__, params_sha256=options.sha256), reference=reference,
             out_of_time=OutOfTime(limit_s=time_s or 0.0, unfinished=found.unfinished) if found.unfinished else None,
             recordings=judged(found, days, (parameters, covariance), since, sizes),
             circumstances=tuple(found_circumstance(item) for item in said.circumstances),
@@ -158,12 +156,6 @@ def found_circumstance(estimate: Estimate) -> FoundCircumstance:
     )  # fmt: skip
 
 
-def _options_hash(options: Options) -> str:
-    plain = {**asdict(options), "search": options.search.model_dump(),
-             "circumstances": options.circumstances.model_dump()}  # fmt: skip
-    return hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()
-
-
 def finite_only(values: Mapping[str, float]) -> dict[str, float]:
     """Without those that are not known."""
     return {name: float(value) for name, value in values.items() if np.isfinite(value)}
@@ -195,15 +187,15 @@ def p_value(found: Search) -> float:
     return float(np.clip(found.chance.p_value(max(gains, default=0.0)), 0.0, 1.0))
 
 
-def fit_figures(found: Search, after: Array, allowed: Array | None) -> FitFigures:
-    """How well the readings are met before, and after by the readings (n, C) of the explanation.
+def fit_figures(found: Search, at: Linearisation, allowed: Array | None) -> FitFigures:
+    """How well the readings are met before, and after by the explanation.
 
     Args:
-        found: the search; after: of the explanation, (n, C).
+        found: the search; at: the explanation, as `explained_at`.
         allowed: its `allowance`.
     """
-    null = found.null
-    before_nll, after_nll = held_out_scores(found, after)
+    null, after = found.null, at.simulated
+    before_nll, after_nll = held_out_scores(found, at)
     whitening = null.whitening
     present = whitening.present
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from dieseltwin.discovery.likelihood.fit import Linearisation
 from dieseltwin.discovery.search.state import Search
-from dieseltwin.discovery.twins.interface import Array, Twin, rows_of
+from dieseltwin.discovery.twins.interface import Twin, rows_of
 from dieseltwin.discovery.twins.several import SeveralTwin
 
 HELD_SHARE = 0.3
@@ -23,26 +23,26 @@ def held_windows(twin: Twin) -> np.ndarray:
     return held
 
 
-def held_out_scores(found: Search, after: Array) -> tuple[float, float]:
-    """Negative log-likelihood per sample of the held-out windows, before and after the repair.
+def held_out_scores(found: Search, at: Linearisation) -> tuple[float, float]:
+    """Negative log-likelihood per row of the held-out windows, before and after the repair.
 
-    Parameters and magnitudes are refitted, linearly about the full fit, on the other windows alone.
+    Health, sizes of effects and numbers of a law are refitted, linearly about the full fit, on the other windows alone.
+    Which effect or form it is, its onset and its region were chosen with all of them.
+
+    Args:
+        found: the search.
+        at: the chosen explanation, as `explained.explained_at`.
     """
-    before = _score(found, found.null, found.null.residual)
-    if found.kind == "healthy":
-        return before, before
-    if found.kind == "law" or found.best is None:
-        return before, _score(found, found.null, found.twin.measured - after)
-    return before, _score(found, found.best, found.best.residual)
+    before = _score(found.twin, found.null)
+    return before, before if found.kind == "healthy" else _score(found.twin, at)
 
 
-def _score(found: Search, at: Linearisation, residual: Array) -> float:
-    twin = found.twin
+def _score(twin: Twin, at: Linearisation) -> float:
     held = held_windows(twin)
     if not held.any() or held.all():
         return float("nan")
     rows = rows_of(twin, held)
-    residual = np.nan_to_num(residual)
+    residual = np.nan_to_num(at.residual)
     nuisances = at.nuisance_response if at.nuisance_response is not None else np.zeros((0, *residual.shape))
     columns = np.concatenate([at.jacobian, nuisances])
     precision = np.concatenate([np.maximum(at.precision, 1e-30), np.ones(len(nuisances))])
