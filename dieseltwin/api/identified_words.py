@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from dieseltwin.notes import Note, counted
 
 MISFIT = 2.0  # chi-square a sample from which the noise or the model is clearly not what was assumed
 MOSTLY_STUCK = 0.5  # share of fits without convergence that is worth a warning: single starts are lost now and then
+_DIFFER = 1.5  # times what is stated, by which estimates of segments differ before it is worth a word
 
 
 def misfits(document: Mapping[str, Any]) -> list[Note]:
@@ -77,12 +79,13 @@ def _listed(entries: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def text_table(document: Mapping[str, Any]) -> list[str]:
-    """The pooled estimates as lines of text: value, standard deviation, 90 % interval, bound, segments used; below them
-    value, standard deviation and interval beside tolerances, where `document` has them."""
-    segments = document["segments"]
+    """The pooled estimates as lines of text: value, standard deviation and 90 % interval beside tolerances, where
+    `document` has them; then the method's own with bound and segments used."""
+    segments, beside = document["segments"], document.get("with_tolerances", {})
+    own = [f"by {document['method']}, with exact maps and sensors: {_noise_alone(document)}"] if beside else []
     head = f"{'parameter':<10} {'estimate':>12} {'std':>10} {'90 % interval':>27} {'bound':>10}  unit       segments"
     size = f"{counted(len(document['runs']), 'run')}, {counted(len(segments), 'segment')}"
-    lines = [f"{document['method']}, {size}", head]
+    lines = [f"{document['method']}, {size}", head, *_beside_lines(beside), *own]
     for name, entry in document["parameters"].items():
         used = sum(bool(segment["parameters"][name]["identifiable"]) for segment in segments)
         if entry["mean"] is None:
@@ -93,12 +96,33 @@ def text_table(document: Mapping[str, Any]) -> list[str]:
         bound = "-" if entry["bound"] is None else f"{entry['bound']:.3g}"
         lines.append(f"{name:<10} {entry['mean']:>12.6g} {entry['std']:>10.3g} {interval:>27} {bound:>10}  "
                      f"{entry['unit']:<9}  {used} of {len(segments)}")
-    beside = document.get("with_tolerances", {})
-    if beside:
-        lines.append("the same beside tolerances of maps and sensors (the intervals above are noise alone)")
+    return lines
+
+
+def _beside_lines(beside: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    lines = ["beside tolerances of maps and sensors:"] if beside else []
     for name, entry in beside.items():
         interval = "{:.5g} to {:.5g}".format(*entry["interval_90"])
         line = f"{name:<10} {entry['mean']:>12.6g} {entry['std']:>10.3g} {interval:>27} {'':>12}{entry['unit']}"
         since = _since(entry)
         lines.append(line if since is None else f"{line:<83}  {since.text} since the reference")
     return lines
+
+
+def _noise_alone(document: Mapping[str, Any]) -> str:
+    """That intervals of a method are noise alone, and by how much its segments differ beside them."""
+    most = max(map(partial(_scatter, document), document["parameters"]), default=0.0)
+    further = f", and segments of this recording differ by up to {most:.2g} times as much" if most > _DIFFER else ""
+    return f"the intervals are noise alone{further}"
+
+
+def _scatter(document: Mapping[str, Any], name: str) -> float:
+    """Root mean square of a parameter's estimates of the segments about their mean, in standard deviations that are
+    stated of them, degrees of freedom counted [-]; 0 where fewer than two tell it."""
+    entries = [segment["parameters"][name] for segment in document["segments"]]
+    told = [(e["mean"], e["std"]) for e in entries if e["identifiable"] and e["mean"] is not None and e["std"]]
+    if len(told) < 2:
+        return 0.0
+    values, stds = np.array(told).T
+    mean = np.average(values, weights=stds**-2)
+    return float(np.sqrt(np.sum(((values - mean) / stds) ** 2) / (values.size - 1)))

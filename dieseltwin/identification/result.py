@@ -79,7 +79,7 @@ class SegmentEstimate:
         bound: (4,) Cramer-Rao standard deviation, absolute [same units as the parameters].
         identifiable: (4,) relative bound at most the threshold.
         converged: (R,) whether a run reached a stationary point.
-        seconds_per_run: wall seconds divided by runs [s].
+        seconds_per_run: wall seconds divided by runs, of this segment [s].
         method: name of the method.
         chi2_per_sample: (R,) sum of squared residuals over sigma, divided by the degrees of freedom; NaN if
             not known.

@@ -81,8 +81,8 @@ SUMMARY = line("""
 """)
 BESIDE_TOLERANCES = line("""
     The intervals above are statements about noise: no map and no sensor is exact, and their errors move all estimates
-    together. Here all are fitted beside what is believed of these errors. Compare these with a limit, a data sheet or
-    another engine, and those above with the same engine, driven and measured the same way.
+    together. Here all are fitted beside what is believed of these errors. Compare these with a limit, a data sheet,
+    another engine or another day; by those above even segments of one recording differ by more than they state.
 """)
 SUMMARY_KNOWN = line("""
     “Error over bound”: root mean square over the identifiable segments and their runs of (estimate − truth) divided by
