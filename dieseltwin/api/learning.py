@@ -21,7 +21,7 @@ from dieseltwin.engine import HEALTH, MEASURED, EngineParameters, we2011
 from dieseltwin.engine.map_corrections import ARGUMENTS, CORRECTED_POINTS, basis
 from dieseltwin.errors import InputError
 from dieseltwin.learning.belief import Further, prior_belief
-from dieseltwin.learning.domain import KNOWN_SHARE, functions_on_maps, uncertainty_along
+from dieseltwin.learning.domain import KNOWN_SHARE, functions_on_maps, share_of_box, uncertainty_along
 from dieseltwin.learning.files import LearnedEngine, learned_engine_of, overlap, save_learned, seal_of
 from dieseltwin.learning.levels import health_covariance
 from dieseltwin.learning.siblings import belief_from_siblings
@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _FAR_OFF = 3.0  # times what is believed of a map, of a correction: by chance one map in some hundred engines
+_WHOLE = 0.95  # of a box that is known, from which on none of it is said to be unknown
 MAP_ERRORS = (0.001, 0.1)
 
 
@@ -279,8 +280,9 @@ def summary(learned: LearnedEngine) -> list[str]:
             f"{argument} {_as_read(argument, low)} to {_in_its_unit(argument, high)}"
             for argument, (low, high) in ((a, learned.domain[point][a]) for a in ARGUMENTS[point])
         )
+        where = f"for {ranges}" if row.share > _WHOLE else f"in {100 * row.share:.0f} % of {ranges}"
         lines.append(f"  {point:<10}corrected by {100 * row.corrected:.1f} % rms, known to {100 * row.known_to:.2g} %, "
-                     f"for {ranges}")  # fmt: skip
+                     f"{where}")  # fmt: skip
     return lines
 
 
@@ -303,12 +305,14 @@ class CorrectedMap:
         believed: its error, as believed before.
         corrected: the correction.
         known_to: standard deviation that is left.
+        share: part that is known of the box of the learned domain, from the lowest to the highest argument [-].
     """
 
     point: str
     believed: float
     corrected: float
     known_to: float
+    share: float
 
 
 def corrected_maps(learned: LearnedEngine) -> list[CorrectedMap]:
@@ -322,7 +326,8 @@ def corrected_maps(learned: LearnedEngine) -> list[CorrectedMap]:
         if point in learned.domain:
             inside, at = uncertain[m] < KNOWN_SHARE * prior[m], functions.maps == m
             parts = (prior[m][inside], belief.coefficients[at] @ tables[at][:, inside], uncertain[m][inside])
-            rows.append(CorrectedMap(point, *(float(np.sqrt(np.mean(part**2))) for part in parts)))
+            believed, corrected, known_to = (float(np.sqrt(np.mean(part**2))) for part in parts)
+            rows.append(CorrectedMap(point, believed, corrected, known_to, share_of_box(inside)))
     return rows
 
 

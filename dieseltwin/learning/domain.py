@@ -75,6 +75,12 @@ def functions_on_maps(engine: EngineParameters) -> Array:
     return tables
 
 
+def share_of_box(known: np.ndarray) -> float:
+    """Part that is known of the smallest box of both arguments that holds all of it, of nodes (NODES * NODES,) [-]."""
+    inside = known.reshape(NODES, NODES)
+    return float(inside[np.ix_(inside.any(axis=1), inside.any(axis=0))].mean())
+
+
 def domain_of(belief: Belief, map_rms: float, engine: EngineParameters) -> dict[str, dict[str, tuple[float, float]]]:
     """Map -> argument -> lowest and highest value at which anything of it is known; maps of which nothing is, are left
     out. Arguments as of `uncertainty_along` and `functions_on_maps`."""
