@@ -36,6 +36,7 @@ HEAT = (4.6, 16.0)  # K per mg/cycle and litre of a cylinder, real engines (see 
 SHARES_SPREAD, LINE_HOLDS = 1.5, 0.8  # of fuel in the gas, 95 over 5 %; correlation of temperature with it
 COLD_LINE, HOT_LINE = 260.0, 480.0
 """K without fuel: 268 to 400 of engines; 90 to 260 of degC and degF taken as K, 530 and 670 of degF and K as degC."""
+ALIKE_ROWS = 3.0  # that tell as much of that line as one: the exhaust follows slowly, and the line bends
 HOT_PER_SHARE, IMPOSSIBLE_PER_SHARE = 1.85e4, 2.8e4
 """K per fuel share in the gas, where it is above its median: 11,000 to 15,000 of engines, and all heat makes 37,000."""
 LEAST_LOADED_MG, FULL_LOAD_MG_L = 20.0, 60.0  # below, no load at all; a diesel's full load per litre of cylinder
@@ -190,8 +191,9 @@ def heat_per_fuel(columns: Mapping[str, np.ndarray], cylinders: int) -> float | 
     return float(np.median((columns["t_em_k"][medium] - NOMINAL_AMBIENT_K) / fuel[medium])) * litres
 
 
-def exhaust_line(columns: Mapping[str, np.ndarray], cylinders: int) -> tuple[float, float] | None:
-    """Exhaust temperature without fuel [K], by a line over fuel per gas, and heating per fuel share at load [K].
+def exhaust_line(columns: Mapping[str, np.ndarray], cylinders: int) -> tuple[float, float, float] | None:
+    """Exhaust temperature without fuel [K], by a line over fuel per gas, heating per fuel share at load [K], and the
+    standard deviation of the first [K].
 
     The first doesn't depend on units of the flows or on the number of cylinders; by a temperature in K it lies near
     the intake's. None where fuel, air and temperature don't say it.
@@ -207,9 +209,10 @@ def exhaust_line(columns: Mapping[str, np.ndarray], cylinders: int) -> tuple[flo
     low, middle, high = np.quantile(share, (0.05, 0.5, 0.95))
     if high < SHARES_SPREAD * low or float(np.corrcoef(share, hot)[0, 1]) < LINE_HOLDS:
         return None
-    cold = np.polyfit(share, hot, 1)[1]
+    (_, cold), covariance = np.polyfit(share, hot, 1, cov=True)
     rich = share > middle
-    return float(cold), float(np.median((hot[rich] - NOMINAL_AMBIENT_K) / share[rich]))
+    per_share = float(np.median((hot[rich] - NOMINAL_AMBIENT_K) / share[rich]))
+    return float(cold), per_share, float(np.sqrt(ALIKE_ROWS * covariance[1, 1]))
 
 
 def exhaust_in_doubt(columns: Mapping[str, np.ndarray], cylinders: int) -> str:
@@ -217,14 +220,16 @@ def exhaust_in_doubt(columns: Mapping[str, np.ndarray], cylinders: int) -> str:
     line = exhaust_line(columns, cylinders)
     if line is None:
         return ""
-    cold, per_share = line
-    if cold < COLD_LINE:
-        return f"comes down to {cold:.0f} K without fuel, far below the intake's: degF or degC taken as K?"
+    cold, per_share, std = line
+    if cold + std < COLD_LINE:
+        return (f"lies on a line over the fuel's share of the gas that meets {cold:.0f} K at no fuel, far below the "
+                "intake's: degF or degC taken as K?")
     if per_share > IMPOSSIBLE_PER_SHARE:
         return (f"rises by {per_share:.3g} K per share of fuel in the gas, which no fuel can heat: check the units of "
                 "fuel, air flow and temperature, and the number of cylinders")  # fmt: skip
     if cold > HOT_LINE and per_share > HOT_PER_SHARE:
-        return f"comes down to {cold:.0f} K only without fuel, far above the intake's: K or degF taken as degC?"
+        return (f"lies on a line over the fuel's share of the gas that meets {cold:.0f} K at no fuel, far above the "
+                "intake's: K or degF taken as degC?")
     return ""
 
 
