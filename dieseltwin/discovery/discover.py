@@ -33,6 +33,8 @@ from dieseltwin.recordings.dates import ORDER, Dated
 from dieseltwin.recordings.liveliest import liveliest
 from dieseltwin.recordings.reader import Recording
 
+_ROUGH_MAPS = 0.01  # size of the maps' errors from which a finding without a reference carries a note [-]
+
 
 @dataclass(frozen=True)
 class Prepared:
@@ -110,7 +112,8 @@ def discover(
     then = None if learned is None else relative_health_std(learned)
     result = assemble(days, found, options, _reference(found, learned), time_s, then, shown)
     runtime = {**found.seconds, "other_searches": max(others, 0.0), "total": time.perf_counter() - clock}
-    return replace(_with_doubts(result, found, engine, [day.recording for day in days]), runtime=runtime)
+    doubts = [] if learned is not None else _of_rough_maps(options.map_tolerance, result)
+    return replace(_with_doubts(result, found, engine, [day.recording for day in days], doubts), runtime=runtime)
 
 
 def _found(prepared: Prepared, options: Options, time_s: float | None) -> Search:
@@ -127,12 +130,22 @@ def _found(prepared: Prepared, options: Options, time_s: float | None) -> Search
     return min(found, other, key=share_left)
 
 
+def _of_rough_maps(map_tolerance: float, result: Discovery) -> list[Note]:
+    """That a finding beside maps that are off by so much may be what they do, where their errors aren't known."""
+    if map_tolerance < _ROUGH_MAPS or not result.document.mismatch:
+        return []
+    return [Note(f"maps may be off by {100.0 * map_tolerance:.2g} %, and nothing is known of how: of eleven healthy "
+                 "engines whose maps are 2 % off three had an alarm; let `dieseltwin learn` learn the engine from "
+                 "driving when it was well", "rough_maps")]  # fmt: skip
+
+
 def _with_doubts(
-    result: Discovery, found: Search, engine: EngineParameters, recordings: Sequence[Recording]
+    result: Discovery, found: Search, engine: EngineParameters, recordings: Sequence[Recording], more: Sequence[Note]
 ) -> Discovery:
-    """What was done to the recordings on reading, and what is doubtful about the fit, in the document."""
+    """What was done to the recordings on reading, and what is doubtful about the fit and `more`, in the document."""
     several = len(recordings) > 1
-    doubts = [
+    doubts = [*more]
+    doubts += [
         of_reading(note, f"{recording.path or 'recording'}: " if several else "")
         for recording in recordings
         for note in recording.notes
