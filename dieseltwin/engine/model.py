@@ -318,8 +318,9 @@ def quantities(
         u_egr, u_vgt: actuator positions u~_egr, u~_vgt behind dead time and lags [%].
         c: constants.
 
-    All arguments broadcast against each other. `x_r_next`, `T_1_next` are the right-hand sides of A.10 and A.9: the
-    fixed point is where they equal x_r and T_1.
+    All arguments broadcast against each other. `x_r_next` is the right-hand side of A.10, `T_1_next` that of A.9 with
+    `x_r_next` in it, as the simulator sweeps: the fixed point is where they equal x_r and T_1. Away from it A.9 with
+    x_r itself is another value (`physics_residuals`).
     """
     x = OperatingPoint(p_im, p_em, omega_t, x_r, T_1, n_e, u_delta, u_egr, u_vgt)
     return quantities_extended(x, Gas(T_1, 1.0, 0.0), 0.0, NO_SIGNALS, c)  # of the gas no temperature is asked for

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 import torch
 
-from dieseltwin.engine import HEALTH, Inputs, actuate, bind, parameter_batch, simulate_states, we2011
+from dieseltwin.engine import HEALTH, Inputs, actuate, bind, constants, parameter_batch, simulate_states, we2011
 from dieseltwin.identification.few_shot.residuals import PointModel, driven_inputs, physics_residuals
+from dieseltwin.identification.few_shot.term_model import TermModel
 
 Drive = Callable[..., Inputs]
 FIELD = torch.log(torch.tensor(we2011.FIELD.health()))[None]
@@ -45,6 +46,27 @@ def test_residuals_vanish_on_simulated_states(fine: tuple[torch.Tensor, torch.Te
     # ... and do not vanish at other parameters.
     wrong = model(states[:, 1:-1, :3], FIELD + torch.tensor([[0.0, 0.05, 0.0, 0.0]]), driven, derivatives=False)
     assert ((rates - wrong.rates)[0, settled, 1].abs().median() / error[1]) > 10.0
+
+
+@pytest.mark.parametrize("with_terms", [False, True])
+def test_residual_of_t_1_is_the_printed_one(fine: tuple[torch.Tensor, torch.Tensor, Inputs], with_terms: bool) -> None:
+    """Off the fixed point: A.56e has the x_r of its own network, not the one that A.10 makes of T_1."""
+    states, _, inputs = fine
+    actuation = actuate(inputs, we2011.FIELD, 0.001)
+    driven = driven_inputs(actuation)
+    model = TermModel(None, we2011.FIELD, [actuation]) if with_terms else bind("torch")
+    c = constants(we2011.FIELD)
+    n = states.shape[1]
+    sway = torch.linspace(0.0, 20.0, n, dtype=torch.float64).sin()
+    x_r, T_1 = states[0, :, 3] * (1.0 + 0.3 * sway), states[0, :, 4] + 15.0 * sway.flip(0)
+    x_r.requires_grad_()
+    own = (*states[0, :, :3].unbind(-1), x_r, T_1)
+    no_rates = (torch.zeros(n, dtype=torch.float64),) * 3
+    found = physics_residuals(model, own, no_rates, driven, c).T_1
+    T_e = model.quantities(*own, *driven, c).T_e
+    torch.testing.assert_close(found, T_1 - (x_r * T_e + (1.0 - x_r) * c.T_im), rtol=0.0, atol=1e-9)
+    (slope,) = torch.autograd.grad(found.sum(), x_r)
+    assert (slope < -50.0).all()  # about T_im - T_e: the residual says something about x_r
 
 
 def test_pointwise_jacobian_against_central_differences(fine: tuple[torch.Tensor, torch.Tensor, Inputs]) -> None:

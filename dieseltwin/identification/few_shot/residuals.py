@@ -17,6 +17,7 @@ from torch import Tensor
 
 from dieseltwin.engine import HEALTH, Actuation, Constants, EngineParameters, Inputs, bind, constants
 from dieseltwin.engine._compiled_tangents import N_RESULTS, linearise_points
+from dieseltwin.engine.array_namespace import with_charge
 from dieseltwin.engine.egr import egr_valve_position
 from dieseltwin.engine.tangents import VALUES
 from dieseltwin.identification.few_shot.term_model import TermModel
@@ -251,10 +252,12 @@ def physics_residuals(
 ) -> PhysicsResiduals:
     """Residuals with x_r and T_1 as unknown functions of their own, as the paper has them.
 
-    Source: paper, appendix "Detailed loss function", r(p_im), r(p_em), r(omega_t), r(x_r), r(T_1).
+    Source: paper, appendix "Detailed loss function", A.56a-e: r(p_im), r(p_em), r(omega_t), r(x_r), r(T_1). The last is
+    T_1 - (x_r T_e + (1 - x_r) T_im) with the x_r of `states`; `q.T_1_next`, which the simulator sweeps with, has the
+    x_r that follows from A.10, and x_r as an unknown function would drop out of it.
 
     Args:
-        model: `engine.bind("torch", ...)`.
+        model: `engine.bind("torch", ...)` or a `TermModel`.
         states: p_im, p_em [Pa], omega_t [rad/s], x_r [-], T_1 [K], each (.., n).
         rates: time derivatives of the first three [Pa/s, Pa/s, rad/s2].
         inputs: driven inputs.
@@ -264,7 +267,8 @@ def physics_residuals(
         Residuals and predicted readings, differentiable.
     """
     q = model.quantities(*states, *inputs, c)
+    mixed = model.intake_valve_closing_temperature(states[3], q.T_e, with_charge(c, q.T_im, c.eta_sc))
     return PhysicsResiduals(
         rates[0] - q.dp_im, rates[1] - q.dp_em, rates[2] - q.domega_t,
-        states[3] - q.x_r_next, states[4] - q.T_1_next, q.W_egr, q.T_em, q.W_c,
+        states[3] - q.x_r_next, states[4] - mixed, q.W_egr, q.T_em, q.W_c,
     )  # fmt: skip

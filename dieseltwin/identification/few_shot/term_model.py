@@ -56,6 +56,7 @@ class TermModel:
             for name, (defect, pressure) in IMPLICIT.items()
         }
         self.model, self.pointwise = bind("torch", replace={**(maps or {}), **solved}), pointwise
+        self.intake_valve_closing_temperature = self.model.intake_valve_closing_temperature
         if corrections_in(parameters.terms) is not None:
             raise InputError(
                 "engine file", "learned corrections of the maps", "laws and effects", "take --method classical"
