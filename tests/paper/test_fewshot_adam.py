@@ -22,8 +22,10 @@ from dieseltwin.paper.loops.few_shot_program import METHOD, Lane, Program, draw_
 from dieseltwin.paper.loops.fused_maps import BANK, Dropout
 from dieseltwin.paper.loops.losses import (
     INITIAL_WEIGHTS,
+    TERMS,
     Observed,
     Weights,
+    loss_terms,
     starting_weights,
     total_loss,
     weights_gradient,
@@ -58,12 +60,14 @@ def _case(lanes: int = 2, n: int = 7) -> tuple[PhysicsResiduals, tuple[torch.Ten
 
 def test_total_loss_is_the_printed_sum() -> None:
     residuals, states, weights, observed = _case()
-    found = total_loss(residuals, states, weights, observed).total
+    loss = total_loss(residuals, states, weights, observed)
+    found, terms = loss.total, loss_terms(residuals, loss, observed)
     softplus = torch.nn.functional.softplus
     for lane in range(2):
         mean = [
             float((r[lane] / s).square().mean()) for r, s in zip(residuals[:5], observed.scales.physics, strict=True)
         ]
+        assert terms[lane, :5].tolist() == pytest.approx(mean, rel=1e-12)
         expected = mean[0] + mean[1] + mean[2] + 100.0 * mean[3] + float(softplus(weights.single[lane, 1])) * mean[4]
         assert INITIAL_WEIGHTS == (1.0, 1.0, 1.0, 100.0, 100.0)
         for i, factor in enumerate(INITIAL_WEIGHTS):
@@ -73,6 +77,7 @@ def test_total_loss_is_the_printed_sum() -> None:
         for i, scale in enumerate(observed.scales.channels):
             there = observed.present[lane, :, i] > 0.0
             error = ((predicted[i][lane] - observed.readings[lane, :, i]) / scale)[there]
+            assert float(terms[lane, 5 + i]) == pytest.approx(float(error.square().mean()), rel=1e-12)
             if i < 4:
                 error = error * softplus(weights.pointwise[lane, i][there])
                 expected += float(error.square().mean())
@@ -173,6 +178,13 @@ def test_an_estimate_is_the_same_in_small_programs(
         assert np.isnan(a.std).all()
 
 
+def test_curves_hold_every_loss(pair: list[SegmentProblem]) -> None:
+    found = identify_segments(pair[:1], METHOD, 2, 4, config=SHORT).segments[0].curves
+    losses = np.stack([found[name] for name in TERMS])
+    assert losses.shape == (10, 31) and (losses > 0.0).all()
+    assert (losses.sum(axis=0) < found["loss"].mean(axis=1)).all()  # the total weighs all of them by more than one
+
+
 def test_the_estimate_is_the_mean_of_the_last_epochs(pair: list[SegmentProblem]) -> None:
     last, mean, unseen = (
         identify_segments(pair[:1], METHOD, 2, 4, config=SHORT.changed(METHOD, **changed)).segments[0]
@@ -203,7 +215,7 @@ def test_converged_is_an_estimate_that_stands_still(
     health = pair[0].parameters.health() * (1.0 + way + slope * (steps - points) + noise)
     states, loss = np.tile(pair[0].first_states()[0], (2, 3, 1)), np.ones((2, points))
     final = health[:, -20:].mean(axis=1)
-    trained = Trained(health, final, states, loss, np.ones(2), np.zeros((2, points)))
+    trained = Trained(health, final, states, loss, np.ones(2), np.zeros((2, points)), np.ones((2, points, 10)))
     found = estimate_of(pair[0], trained, share, 0.0, 1000, identifiable_below=IDENTIFIABLE_BELOW)
     assert found.converged.tolist() == [settled, settled]
     np.testing.assert_array_equal(found.parameters, final)

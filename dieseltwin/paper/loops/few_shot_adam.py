@@ -1,4 +1,4 @@
-"""Few-shot estimator as printed: Adam on the heads of frozen bodies, the unknowns and the self-adaptive weights.
+"""Few-shot estimator, the printed method: Adam on the heads of frozen bodies, the unknowns and the self-adaptive weights.
 
 Source: paper, section "Results: Few-shot transfer learning" and appendix "Detailed loss function". All runs of all
 segments are lanes of one tensor program. The derivative of a state is dh/dt W with dh/dt computed once; the eight Adam
@@ -36,7 +36,7 @@ from dieseltwin.paper.loop_settings import AdamConfig
 from dieseltwin.paper.loops.averaging import TailMean
 from dieseltwin.paper.loops.compiled_loss import Place, gradient_function
 from dieseltwin.paper.loops.few_shot_program import LANES, METHOD, Lane, Program, draw_lane, make_program, start_values
-from dieseltwin.paper.loops.losses import data_misfit
+from dieseltwin.paper.loops.losses import TERMS, data_misfit
 
 if TYPE_CHECKING:
     from dieseltwin.settings.params import IdentifyConfig
@@ -124,6 +124,7 @@ class Trained:
         loss: (L, points) total loss.
         misfit: (L,) sum of squared data residuals over sigma, divided by their number.
         held_out: (L, points) the same of the readings that no loss sees; zeros where there are none.
+        terms: (L, points, 10) `losses.TERMS`.
     """
 
     health: NDArray[np.float64]
@@ -132,6 +133,7 @@ class Trained:
     loss: NDArray[np.float64]
     misfit: NDArray[np.float64]
     held_out: NDArray[np.float64]
+    terms: NDArray[np.float64]
 
     @classmethod
     def joined(cls, parts: Sequence[Trained]) -> Trained:
@@ -169,7 +171,7 @@ def train(
     first, second = torch.zeros_like(values), torch.zeros_like(values)
     gradient = torch.zeros_like(values)
     keep = np.unique(np.linspace(0, settings.epochs, min(CURVE_POINTS, settings.epochs + 1)).round().astype(int))
-    curve_health, curve_loss, curve_held_out = [], [], []
+    curve_health, curve_loss, curve_held_out, curve_terms = [], [], [], []
     sigma = torch.tensor(np.stack([lane.problem.sigma[:5] for lane in lanes]), dtype=values.dtype)
     mean = TailMean(settings.epochs, settings.average_share, values[:, n_heads:n_down])
     best, least = values.clone(), torch.full((count,), float("inf"), dtype=values.dtype)
@@ -188,6 +190,7 @@ def train(
         if epoch in keep:
             curve_health.append(to_physical(masked, torch))
             curve_loss.append(total.clone())
+            curve_terms.append(program.terms(z, masked, weights))
             curve_held_out.append(program.held_out_misfit(z, masked, sigma))
             better = curve_held_out[-1] < least
             best[better], least[better] = values[better], curve_held_out[-1][better]
@@ -219,6 +222,7 @@ def train(
         torch.stack(curve_health, 1).double().numpy(), mean.physical().numpy(),
         torch.stack(states, -1).double().numpy(), torch.stack(curve_loss, 1).double().numpy(),
         misfit.double().numpy(), torch.stack(curve_held_out, 1).double().numpy(),
+        torch.stack(curve_terms, 1).double().numpy(),
     )  # fmt: skip
 
 
@@ -273,6 +277,7 @@ def estimate_of(
         curves={
             "epoch": np.linspace(0, epochs, loss.shape[1]).round(), "loss": loss.T,
             **{name: health[..., i].T for i, name in enumerate(HEALTH)},
+            **dict(zip(TERMS, found.terms.mean(axis=0).T, strict=True)),
             **({"held_out_misfit": found.held_out.T} if early_stopping else {}),
         },
     )  # fmt: skip

@@ -36,6 +36,11 @@ WEIGHT_SIGMA = 0.1
 POINTWISE = ("p_im", "p_em", "omega_t", "W_egr")
 """Channels with one self-adaptive weight for each sample; T_em and T_1 have a single one each."""
 SCALAR = ("T_em", "T_1")
+TERMS = (
+    *(f"loss_physics_{name}" for name in ("p_im", "p_em", "omega_t", "x_r", "T_1")),
+    *(f"loss_data_{name}" for name in (*POINTWISE, "T_em")),
+)  # fmt: skip
+"""Names of `loss_terms`."""
 
 
 class Weights(NamedTuple):
@@ -148,6 +153,14 @@ def total_loss(residuals: PhysicsResiduals, states: tuple[Tensor, ...], weights:
     )  # fmt: skip
     channels = tuple(square.detach() for square in squares[: len(POINTWISE)])
     return Loss(total, channels, (t_em.detach(), physics[4].detach()))
+
+
+def loss_terms(residuals: PhysicsResiduals, loss: Loss, observed: Observed) -> Tensor:
+    """(L, 10) mean squares `TERMS` over the units of `observed.scales`, without any weight: A.56, A.57."""
+    units = observed.scales.physics
+    physics = [(r / unit).square().mean(-1) for r, unit in zip(residuals[:5], units, strict=True)]
+    data = [*(square.sum(-1) for square in loss.channels), loss.singles[0]]
+    return torch.stack([*physics, *data], -1)
 
 
 def data_misfit(loss: Loss, observed: Observed, sigma: Tensor) -> Tensor:

@@ -31,7 +31,7 @@ from dieseltwin.paper.loops.averaging import TailMean
 from dieseltwin.paper.loops.compiled_loss import Place
 from dieseltwin.paper.loops.few_shot_adam import BETA_1, BETA_2, CURVE_POINTS, EPSILON, Trained, estimate_of
 from dieseltwin.paper.loops.few_shot_program import LANES, Lane, Program, draw_lane, make_program
-from dieseltwin.paper.loops.losses import data_misfit, starting_weights, total_loss
+from dieseltwin.paper.loops.losses import data_misfit, starting_weights
 from dieseltwin.paper.loops.network_loops import epoch_function
 from dieseltwin.paper.loops.pinn_networks import StateNetworks
 
@@ -40,8 +40,6 @@ if TYPE_CHECKING:
     from dieseltwin.surrogates.empirical import EmpiricalMaps
     from dieseltwin.surrogates.operators import ActuatorOperators
 
-PHYSICS = ("p_im", "p_em", "omega_t", "x_r", "T_1")
-DATA = ("p_im", "p_em", "omega_t", "W_egr", "T_em")
 STILL_PACE = 0.3
 """As of the few-shot loop, whose unknowns don't begin with random networks: 113 runs of 7,000 and 12,000 epochs that
 stood still have at most 0.27, few epochs at the rates of the first stage about 1."""
@@ -68,16 +66,14 @@ class PinnTrained:
     """What the loop found for L lanes.
 
     Attributes:
-        trained: parameters, states, total loss and misfit.
-        epochs: (points,) epochs of the curves.
-        terms: losses without self-adaptive weights along the epochs, name -> (L, points).
+        trained: parameters, states, losses and misfit.
+        epochs: trained.
         weights: (L, size) network weights at the end.
         masked: (L, 4) unknowns in masked space at the end.
     """
 
     trained: Trained
-    epochs: NDArray[np.int_]
-    terms: dict[str, NDArray[np.float64]]
+    epochs: int
     weights: Tensor
     masked: Tensor
 
@@ -189,9 +185,9 @@ def train(
         torch.stack(curve.health, 1).double().numpy(), mean.physical().numpy(),
         torch.stack(states, -1).double().numpy(), torch.stack(curve.loss, 1).double().numpy(),
         misfit.double().numpy(), torch.zeros(len(misfit), len(curve.loss)).double().numpy(),
+        torch.stack(curve.terms, 1).double().numpy(),
     )  # fmt: skip
-    terms = {name: torch.stack(values, 1).double().numpy() for name, values in curve.terms.items()}
-    return PinnTrained(found, keep, terms, values[:, : networks.size].clone(), masked.clone())
+    return PinnTrained(found, epochs, values[:, : networks.size].clone(), masked.clone())
 
 
 class _Curve:
@@ -200,23 +196,13 @@ class _Curve:
     def __init__(self) -> None:
         self.health: list[Tensor] = []
         self.loss: list[Tensor] = []
-        self.terms: dict[str, list[Tensor]] = {}
+        self.terms: list[Tensor] = []
 
     @torch.no_grad()
     def add(self, program: Program, place: Place, total: Tensor) -> None:
-        z, masked = place.z, place.masked
-        self.health.append(to_physical(masked, torch))
+        self.health.append(to_physical(place.masked, torch))
         self.loss.append(total.clone())
-        residuals, states = program.residuals(z, masked)
-        loss = total_loss(residuals, states, place.weights, program.observed)
-        terms = {
-            f"loss_physics_{name}": (r / scale).square().mean(-1)
-            for name, r, scale in zip(PHYSICS, residuals, program.observed.scales.physics, strict=False)
-        }
-        data = [*loss.mean_squares.sum(-1).unbind(-1), loss.single[:, 0]]
-        terms |= {f"loss_data_{name}": row for name, row in zip(DATA, data, strict=True)}
-        for name, row in terms.items():
-            self.terms.setdefault(name, []).append(row.detach())
+        self.terms.append(program.terms(place.z, place.masked, place.weights))
 
 
 def make_lanes(
@@ -260,9 +246,8 @@ def train_lanes(
         sigma = np.stack([lane.problem.sigma[:5] for lane in part])
         found.append(train(program, networks, values, settings.stages, sigma, average_share=settings.average_share))
     whole = Trained.joined([f.trained for f in found])
-    terms = {name: np.concatenate([f.terms[name] for f in found]) for name in found[0].terms}
     weights, masked = torch.cat([f.weights for f in found]), torch.cat([f.masked for f in found])
-    return PinnTrained(whole, found[0].epochs, terms, weights, masked)
+    return PinnTrained(whole, found[0].epochs, weights, masked)
 
 
 def estimates_of(
@@ -292,13 +277,9 @@ def estimates_of(
     results = []
     for row, problem in enumerate(problems):
         of = slice(row * runs, (row + 1) * runs)
-        t = found.trained
         one = estimate_of(
-            problem, t.lanes(of), average_share, seconds, int(found.epochs[-1]), identifiable_below=identifiable_below,
-            pace_below=STILL_PACE,
+            problem, found.trained.lanes(of), average_share, seconds, found.epochs,
+            identifiable_below=identifiable_below, pace_below=STILL_PACE,
         )  # fmt: skip
-        curves = {"epoch": found.epochs.astype(np.float64), "loss": t.loss[of].T}
-        curves |= {name: t.health[of, :, i].T for i, name in enumerate(HEALTH)}
-        curves |= {name: values[of].mean(axis=0) for name, values in found.terms.items()}
-        results.append(replace(one, method=method, curves=curves))
+        results.append(replace(one, method=method))
     return results
