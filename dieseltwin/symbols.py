@@ -84,8 +84,8 @@ _TABLE: tuple[Symbol, ...] = (
     Symbol("T_c", "t_c_k", "K", 200.0, 700.0, "A.36", "T_c", "compressor-out temperature"),
     Symbol("P_c", "p_c_w", "W", 0.0, 5e5, "A.39", "P_c", "compressor power"),
     Symbol("eta_c", "eta_c", "-", 0.0, 1.0, "A.40", r"\eta_c", "compressor efficiency"),
-    Symbol("W_c", "w_c_kg_s", "kg/s", 0.0, 2.0, "A.48", "W_c", "compressor flow"),
-    Symbol("Phi_c", "phi_c", "-", 0.0, 0.6, "A.49", r"\Phi_c", "volumetric flow coefficient"),
+    Symbol("W_c", "w_c_kg_s", "kg/s", 0.0, 2.0, "A.49", "W_c", "compressor flow"),
+    Symbol("Phi_c", "phi_c", "-", 0.0, 0.6, "A.50", r"\Phi_c", "volumetric flow coefficient"),
     # beyond the printed equations
     Symbol("X_Oim", "x_oim", "-", 0.0, 0.25, "published", "X_{Oim}", "oxygen mass fraction, intake manifold"),
     Symbol("X_Oem", "x_oem", "-", 0.0, 0.25, "published", "X_{Oem}", "oxygen mass fraction, exhaust manifold"),

@@ -8,6 +8,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from dieseltwin.engine.binding import LEAVES, functions_of
 from dieseltwin.errors import InputError
 from dieseltwin.sensors import SENSORS
 from dieseltwin.symbols import BY_COLUMN, HEALTH_NAMES, INPUT_COLUMNS, SYMBOLS, label, symbol
@@ -16,6 +17,14 @@ UNIT_ENDINGS = {
     "_pa": "Pa", "_kg_s": "kg/s", "_rad_s": "rad/s", "_rpm": "rpm", "_pct": "%", "_mg": "mg/cycle", "_nm": "N m",
     "_k": "K", "_w": "W", "_s": "s",
 }  # fmt: skip
+
+
+DOCUMENTED = {"F_vgt_Pi_t": "F_vgt,Pi_t", "P_t_eta_m": "P_t eta_m"} | {
+    name: f"d{name}/dt" for name in ("p_im", "p_em", "omega_t")
+}  # fmt: skip
+"""Symbols that a function's docstring writes in another way; of a state it has the rate."""
+ACTUATOR_STATES = ("u_egr1", "u_egr2", "u_vgt_act")
+"""One function steps them all."""
 
 
 def test_names_and_columns_are_unique() -> None:
@@ -27,6 +36,25 @@ def test_entry_is_sound(entry) -> None:
     assert entry.low < entry.high
     assert entry.meaning and entry.latex
     assert entry.equation in {"input", "parameter", "published"} or re.fullmatch(r"A\.\d{1,2}", entry.equation)
+
+
+NUMBERED = {name: entry for name, entry in SYMBOLS.items() if entry.equation.startswith("A.")}
+
+
+@pytest.mark.parametrize("name", NUMBERED)
+def test_equation_is_the_one_that_the_engine_s_function_names(name: str) -> None:
+    functions = [function for module in LEAVES for function in functions_of(module).values()]
+    said = [(f.__doc__ or "").split("\n\n")[0] for f in functions]
+    number = rf"\({re.escape(NUMBERED[name].equation)}\b"
+    if name in ACTUATOR_STATES:
+        text = next(text for text in said if text.startswith("State [%] of an actuator"))
+        assert re.search(rf"[(, ]{NUMBERED[name].equation}\b", text)
+    elif name in HEALTH_NAMES:
+        assert any(re.search(number, text) for text in said)
+    else:
+        written = re.escape(DOCUMENTED.get(name, name))
+        (text,) = [text for text in said if re.search(rf"(^| ){written} \[[^]]*\] \(A", text)]
+        assert re.search(number, text), text
 
 
 @pytest.mark.parametrize("entry", [s for s in SYMBOLS.values() if s.name not in HEALTH_NAMES], ids=lambda s: s.column)
