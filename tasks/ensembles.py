@@ -222,23 +222,19 @@ def operators_training(
     """``errors.json`` of one training of the operators with or without label noise, errors against clean data."""
     import json
 
-    import numpy as np
     import pandas as pd
 
     from dieseltwin.paper.datasets import laboratory_parameters
     from dieseltwin.settings.params import EngineConfig, OperatorsConfig
-    from dieseltwin.surrogates.operators import OPERATORS, TRAINING_CASES, train_operators
+    from dieseltwin.surrogates.operators import train_operators
     from tasks.pretrain import _cases, _symbol
 
     cases = _cases(lab)
     parameters = laboratory_parameters(EngineConfig(**engine))
     trained = train_operators(cases, OperatorsConfig(**config), seed, parameters, label_noise_rel=label_noise_rel)
     test = trained.errors(pd.read_parquet(field / "case_v_clean.parquet"))
-    errors = {}
-    for name, labels in OPERATORS.items():
-        for label in labels:
-            seen = [trained.errors(cases[case])[label] for case in TRAINING_CASES[name]]
-            errors[_symbol(label)] = {"train": float(np.mean(seen)), "test": float(test[label])}
+    train = trained.training_errors(cases)
+    errors = {_symbol(label): {"train": train[label], "test": test[label]} for label in test}
     (out / "errors.json").write_text(json.dumps(errors, indent=1, sort_keys=True) + "\n", encoding="utf-8")
 
 

@@ -136,12 +136,11 @@ def operators(
     seed: int,
 ) -> None:
     """``operators.pt``."""
-    import numpy as np
     import pandas as pd
 
     from dieseltwin.paper.datasets import laboratory_parameters
     from dieseltwin.settings.params import EngineConfig, OperatorsConfig
-    from dieseltwin.surrogates.operators import OPERATORS, TRAINING_CASES, train_operators
+    from dieseltwin.surrogates.operators import OPERATORS, train_operators
 
     cases = _cases(lab)
     parameters = laboratory_parameters(EngineConfig(**engine))
@@ -150,12 +149,8 @@ def operators(
     )
     trained.save(out / "operators.pt")
     test = trained.errors(pd.read_parquet(field / "case_v_clean.parquet"))
-    train = {case: trained.errors(cases[case]) for names in TRAINING_CASES.values() for case in names}
-    errors = {}
-    for name, labels in OPERATORS.items():
-        for label in labels:
-            seen = float(np.mean([train[case][label] for case in TRAINING_CASES[name]]))
-            errors[_symbol(label)] = {"train": seen, "test": test[label]}
+    train = trained.training_errors(cases)
+    errors = {_symbol(label): {"train": train[label], "test": test[label]} for label in test}
     _write_json(out / ERRORS, errors)
     curves = [
         pd.DataFrame(getattr(trained, name).curve, columns=["epoch", "value"]).assign(quantity=f"loss_{name}")

@@ -123,20 +123,31 @@ class ActuatorOperators:
 
     def errors(self, recording: pd.DataFrame) -> dict[str, float]:
         """Relative L2 error [%] of each state over the windows of a clean recording at 0.2 s, initial values given."""
-        result = {}
-        for name, labels in OPERATORS.items():
-            operator: Operator = getattr(self, name)
+        return {label: error for name in OPERATORS for label, error in self._errors(name, [recording]).items()}
+
+    def training_errors(self, cases: Mapping[str, pd.DataFrame]) -> dict[str, float]:
+        """The same over the clean training recordings, the windows of all of them as one set (paper: 120 and 24)."""
+        return {
+            label: error
+            for name, of in TRAINING_CASES.items()
+            for label, error in self._errors(name, [cases[case] for case in of]).items()
+        }
+
+    def _errors(self, name: str, recordings: Sequence[pd.DataFrame]) -> dict[str, float]:
+        operator: Operator = getattr(self, name)
+        n = operator.network.n_times
+        found, truth = [], []
+        for recording in recordings:
             u, y = _signals(recording, name, operator.delay_s, operator.limits_pct)
-            n = operator.network.n_times
             starts = np.arange(0, len(u) - n + 1, n - 1)
             if starts.size == 0:
                 raise InputError("recording", f"{len(u)} rows", f"at least {n}", "give a minute or more")
             windows = starts[:, None] + np.arange(n)
-            predicted = operator.predict(u[windows], y[starts])
-            for k, label in enumerate(labels):
-                truth = y[windows][..., k]
-                result[label] = 100.0 * float(np.linalg.norm(predicted[..., k] - truth) / np.linalg.norm(truth))
-        return result
+            found.append(operator.predict(u[windows], y[starts]))
+            truth.append(y[windows])
+        off, size = np.concatenate(found) - np.concatenate(truth), np.concatenate(truth)
+        norms = np.linalg.norm(off, axis=(0, 1)) / np.linalg.norm(size, axis=(0, 1))
+        return {label: 100.0 * float(norm) for label, norm in zip(OPERATORS[name], norms, strict=True)}
 
     def save(self, path: str | Path) -> Path:
         """Write both operators to one file, atomically."""
@@ -224,15 +235,10 @@ def _signals(
 
 
 def _train(
-    signals: Sequence[tuple[np.ndarray, np.ndarray]],
-    config: OperatorConfig,
-    common: OperatorsConfig,
-    limits: tuple[float, float],
-    delay_s: float,
-    label_noise_rel: float,
-    generator: torch.Generator,
+    signals: Sequence[tuple[np.ndarray, np.ndarray]], config: OperatorConfig, common: OperatorsConfig,
+    limits: tuple[float, float], delay_s: float, label_noise_rel: float, generator: torch.Generator,
     progress: Callable[[float], None] | None,
-) -> Operator:
+) -> Operator:  # fmt: skip
     n_times = round(common.window_s / common.sample_s) + 1
     outputs = signals[0][1].shape[1]
     memory = common.memory_s / common.sample_s
@@ -302,14 +308,9 @@ class _Rows:
 
     @classmethod
     def of(
-        cls,
-        signals: Sequence[tuple[np.ndarray, np.ndarray]],
-        operator: Operator,
-        n_times: int,
-        slide: int,
-        label_noise_rel: float,
-        generator: torch.Generator,
-    ) -> _Rows:
+        cls, signals: Sequence[tuple[np.ndarray, np.ndarray]], operator: Operator, n_times: int, slide: int,
+        label_noise_rel: float, generator: torch.Generator,
+    ) -> _Rows:  # fmt: skip
         commands, labels, windows, offset = [], [], [], 0
         for u, y in signals:
             if len(u) < n_times:

@@ -99,6 +99,21 @@ def test_a_short_training_generalises(operators: ActuatorOperators) -> None:
     assert all(errors[label] < 0.3 * command[label] for label in command), (errors, command)
 
 
+def test_training_errors_are_those_of_all_training_windows_together(
+    cases: dict[str, pd.DataFrame], operators: ActuatorOperators
+) -> None:
+    found, single = operators.training_errors(cases), {name: operators.errors(frame) for name, frame in cases.items()}
+    assert list(found) == list(single["case_i"])
+    n = operators.egr.network.n_times
+    for label, of in {"u_egr1_pct": ("case_i", "case_vi"), "u_vgt_act_pct": ("case_i", "case_vii")}.items():
+        whole = [len(cases[case]) - (len(cases[case]) - 1) % (n - 1) for case in of]  # rows of whole windows
+        rows = [np.append(np.arange(size), np.arange(n - 1, size - 1, n - 1)) for size in whole]  # joints count twice
+        values = [cases[case][label].to_numpy()[at] for case, at in zip(of, rows, strict=True)]
+        squares = np.array([np.square(value).sum() for value in values])
+        each = np.array([single[case][label] for case in of])
+        assert found[label] == pytest.approx(float(np.sqrt((squares * each**2).sum() / squares.sum())), rel=1e-6)
+
+
 @pytest.mark.thorough
 def test_the_closed_form_finish_is_worth_it(cases: dict[str, pd.DataFrame], operators: ActuatorOperators) -> None:
     unseen = driving(77, 3.0)
