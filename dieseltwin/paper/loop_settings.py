@@ -19,7 +19,7 @@ class Scales:
         p: pressures [Pa], and their rates [Pa/s]; omega: turbo speed [rad/s], and its rate [rad/s2].
         T_em, T_1: temperatures [K]; w_egr: EGR flow [kg/s].
         rate: further divisor of the three rates [-]: below 1 the differential equations count more against the data.
-        x_r: residual gas [-], which is of the order of 0.05.
+        x_r: residual gas [-], which is of the order of 0.03.
     """
 
     T_em: float

@@ -10,9 +10,9 @@ sums of flows whose relative rounding of 1e-7 is 1e-3 of the least residual. Lan
 lanes is summed in another order: a batch equals its runs alone to rounding, not to the bit.
 
 Not printed, and chosen in `params.yaml` on validation driving: learning rates and the units of the residuals (see
-`losses`). Temperatures over 30 K: with 300 K the readings of T_em hardly count, x_r and T_1 wander and h_tot ends
+`losses`). Temperatures over 30 K: with 300 K the readings of T_em hardly count, T_1 is 25 K off and h_tot ends
 25-40 % off. The self-adaptive weights of 1e3 let the heads fit the noise, so the unknowns are regressed on noisy
-states and rates: A_egrmax stays 3 % low however long the loop runs, and h_tot drifts on.
+states and rates: A_egrmax stays 3 % low however long the loop runs.
 """
 
 from __future__ import annotations

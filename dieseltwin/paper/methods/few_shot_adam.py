@@ -1,4 +1,4 @@
-"""`few-shot-adam`: the paper's few-shot transfer, everything as printed: learned bodies, maps and operators."""
+"""`few-shot-adam`: the paper's few-shot transfer, the printed method: learned bodies, maps and operators."""
 
 from __future__ import annotations
 
