@@ -1,4 +1,4 @@
-"""Few-shot estimator, the printed method: Adam on the heads of frozen bodies, the unknowns and the self-adaptive weights.
+"""The printed few-shot method: Adam on the heads of frozen bodies, the unknowns and the self-adaptive weights.
 
 Source: paper, section "Results: Few-shot transfer learning" and appendix "Detailed loss function". All runs of all
 segments are lanes of one tensor program. The derivative of a state is dh/dt W with dh/dt computed once; the eight Adam

@@ -1,9 +1,9 @@
 """Learned maps inside the Adam loops: one tensor program for all runs, each with its own dropout realisations.
 
-Dropout stays on (paper) and is drawn anew in every epoch: the paper's spread of 0.03 % in A_vgtmax over 30 runs on clean
-data would be impossible with one realisation a run, nearly half of which lack a neuron of that map. A dropout layer
-draws a mask for every row, too; here a realisation holds for all points of a run, as of one engine, and is drawn from a
-bank, so that an epoch costs a look-up. A minute's mean of a map then scatters ten times as far between epochs
+Dropout stays on (paper) and is drawn anew in every epoch: the paper's spread of 0.03 % in A_vgtmax over 30 runs on
+clean data would be impossible with one realisation a run, nearly half of which lack a neuron of that map. A dropout
+layer draws a mask for every row, too; here a realisation holds for all points of a run, as of one engine, and is drawn
+from a bank, so that an epoch costs a look-up. A minute's mean of a map then scatters ten times as far between epochs
 (docs/methods.md); the mean over epochs that is the estimate takes most of that out.
 
 A network is one operation of the tensor program, whose results are its value and its slopes by the inputs: nothing of
