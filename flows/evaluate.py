@@ -58,6 +58,7 @@ def evaluate(profile: str, only: list[str] | None = None) -> str:
             last_epoch=plan.last_epoch,
             kind=plan.slug,
             run_times=_times(list(parts.values())),
+            **{kind: net for kind, net in network_files(plan.method, models).items() if kind in after.NETWORKS},
             **parts,
         )
     found = {f"ensemble_{i:03d}": assembled[plan.slug].result() for i, plan in enumerate(plans)}

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from dieseltwin.surrogates.files import CLASSES
 from tasks.identify import declarations
 from tasks.run_context import Progress, step
 from tasks.store import scratch
@@ -17,7 +18,13 @@ PAGE = "evaluation.html"
 METRICS = "metrics.json"
 
 
-@step("ensemble", "members together", expected_s=10.0)
+NETWORKS = ("maps", "operators")  # what everything that follows from a member's states rests on
+
+
+@step(
+    "ensemble", "members together", expected_s=10.0,
+    entries=tuple(f"dieseltwin.surrogates.{CLASSES[kind][0]}" for kind in NETWORKS),
+)
 def ensemble(
     out: Path,
     progress: Progress,
@@ -31,9 +38,11 @@ def ensemble(
     last_epoch: bool,
     kind: str,
     run_times: list[str],
-    **parts: Path,
+    **given: Path,
 ) -> None:
     """All batches of one method on one case: ``members.parquet`` and what ``dieseltwin identify`` writes.
+
+    ``given``: the batches, and files of the networks of `NETWORKS` that the method has.
 
     ``last_epoch``: take the members' estimates from there. ``run_times``: hashes of the batches' runtime.json, which
     are no part of their results' hashes but are shown.
@@ -45,6 +54,7 @@ def ensemble(
     from dieseltwin.atomic import write_json
     from dieseltwin.engine import HEALTH
     from dieseltwin.identification.bound import IDENTIFIABLE_BELOW, cramer_rao
+    from dieseltwin.identification.in_place import InPlace
     from dieseltwin.identification.result import Identification, curves_table
     from dieseltwin.paper.evaluation.ensembles import (
         at_last_epoch,
@@ -53,14 +63,15 @@ def ensemble(
         merged,
         without_diverged,
     )
+    from dieseltwin.surrogates.files import load_networks
     from tasks.ensembles import ESTIMATES, problems_for
     from tasks.store import RUNTIME
 
     problems = problems_for(field, settings, what, what["members"])
     loaded, seconds = [], 0.0
-    for name in sorted(parts):
-        times = json.loads((parts[name] / RUNTIME).read_text(encoding="utf-8"))
-        loaded.append(load_estimates(parts[name] / ESTIMATES, times["seconds_per_run"]))
+    for name in sorted(given.keys() - NETWORKS):
+        times = json.loads((given[name] / RUNTIME).read_text(encoding="utf-8"))
+        loaded.append(load_estimates(given[name] / ESTIMATES, times["seconds_per_run"]))
         seconds += times["seconds"]
     starts = {round(problem.t0_s, 6): problem for problem in problems}
     problems = [starts[round(estimate.t0_s, 6)] for estimate in loaded[0]]
@@ -78,7 +89,8 @@ def ensemble(
     known = [i for i, estimate in enumerate(usable) if estimate is not None]
     kept = tuple(estimate for estimate in usable if estimate is not None)
     solved = tuple(problems[i] for i in known)
-    found = Identification(method, kept, solved, what["seed"], seconds, IDENTIFIABLE_BELOW)
+    learned = InPlace(**load_networks({kind: path for kind, path in given.items() if kind in NETWORKS}))
+    found = Identification(method, kept, solved, what["seed"], seconds, IDENTIFIABLE_BELOW, learned)
     runtime = {"seconds": seconds, "seconds_per_run": [estimate.seconds_per_run for estimate in estimates]}
     if known:
         write_json(out / "identification.json", found.to_json())

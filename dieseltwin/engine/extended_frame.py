@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from dieseltwin.engine.binding import numpy_model
+from dieseltwin.engine.binding import Model, numpy_model
 from dieseltwin.engine.extended_terms import Terms, along
 from dieseltwin.engine.inputs import Actuation
 from dieseltwin.engine.model_constants import Constants
@@ -17,7 +17,7 @@ from dieseltwin.symbols import SYMBOLS
 
 
 def columns_along(
-    states: np.ndarray, actuation: Actuation, terms: Terms, c: Constants, extended: bool
+    states: np.ndarray, actuation: Actuation, terms: Terms, c: Constants, extended: bool, published: Model | None = None
 ) -> dict[str, np.ndarray]:
     """Every quantity at given states, (..., n, 6) or (..., n, 5) as in `extended_terms.along`: name -> (..., n).
 
@@ -32,6 +32,7 @@ def columns_along(
         terms: of the engine.
         c: constants; arrays of shape (B, 1) for several lanes.
         extended: with the extended model and its columns; without it there are no terms.
+        published: the equations without it over numpy arrays, for instance with learned maps; None: as written.
     """
     further: dict[str, Any] = {}
     q: Any
@@ -42,7 +43,7 @@ def columns_along(
             "w_leak_em_kg_s": q.W_leak_em, "p_friction_w": q.P_f, "t_em_static_k": q.T_em_static,
         }  # fmt: skip
     else:
-        q = numpy_model().quantities(*np.moveaxis(states[..., :5], -1, 0), *actuation.at_samples(), c)
+        q = (published or numpy_model()).quantities(*np.moveaxis(states[..., :5], -1, 0), *actuation.at_samples(), c)
     model = numpy_model()
     p_im, p_em, omega_t, x_r, T_1 = np.moveaxis(states[..., :5], -1, 0)
     rows = slice(actuation.inputs.n_history, None)
@@ -68,8 +69,12 @@ def extended_frame(states: np.ndarray, actuation: Actuation, parameters: EngineP
 
 
 def lanes_along(
-    states: np.ndarray, actuation: Actuation, parameters: EngineParameters, **changed: np.ndarray
-) -> dict[str, np.ndarray]:
-    """`columns_along` of K lanes (K, n, 5 or 6) of one engine, each with its own values (K,) of some parameters."""
+    states: np.ndarray, actuation: Actuation, parameters: EngineParameters, published: Model | None = None,
+    **changed: np.ndarray,
+) -> dict[str, np.ndarray]:  # fmt: skip
+    """`columns_along` of K lanes (K, n, 5 or 6) of one engine, each with its own values (K,) of some parameters.
+
+    published: see there.
+    """
     c = Constants(*parameter_batch(parameters, size=len(states), **changed).values[:, :, None])
-    return columns_along(states, actuation, parameters.terms, c, bool(parameters.terms))
+    return columns_along(states, actuation, parameters.terms, c, bool(parameters.terms), published)

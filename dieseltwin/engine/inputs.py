@@ -153,9 +153,14 @@ class Actuation:
         """The sample at which each row of the recording lies, (rows,)."""
         return np.arange(self.time_s.size) if self.rows is None else np.flatnonzero(np.diff(self.rows, prepend=-1))
 
+    @property
+    def sample_columns(self) -> np.ndarray:
+        """The columns of `grid` at the samples, (n,)."""
+        return np.concatenate([[0], np.cumsum(2 * self.steps)])
+
     def at_samples(self) -> np.ndarray:
         """n_e, u_delta, u~_egr, u~_vgt at the samples, (4, n)."""
-        return self.grid[:, np.concatenate([[0], np.cumsum(2 * self.steps)])]
+        return self.grid[:, self.sample_columns]
 
 
 def half_step_times(time: np.ndarray, steps: np.ndarray) -> np.ndarray:

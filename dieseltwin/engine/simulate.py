@@ -9,7 +9,7 @@ import pandas as pd
 
 from dieseltwin.engine._compiled import LANES, N_OUT, N_STATES, follow_oxygen, integrate_block, integrate_one
 from dieseltwin.engine.actuation import actuate
-from dieseltwin.engine.binding import numpy_model
+from dieseltwin.engine.binding import Model, numpy_model
 from dieseltwin.engine.extended_frame import columns_along
 from dieseltwin.engine.extended_terms import along, simulate_lanes, simulate_terms
 from dieseltwin.engine.inputs import DEFAULT_STEP_S, Actuation, Inputs, actuate_like, grids_of
@@ -177,13 +177,15 @@ def _simulated(actuation: Actuation, parameters: EngineParameters, initial: np.n
     return simulate_states(actuation, batch, initial)
 
 
-def quantities_frame(states: np.ndarray, actuation: Actuation, parameters: EngineParameters) -> pd.DataFrame:
+def quantities_frame(
+    states: np.ndarray, actuation: Actuation, parameters: EngineParameters, published: Model | None = None
+) -> pd.DataFrame:
     """Every algebraic quantity at given states, shape (n, 5), as a table in the columns of the reference traces.
 
-    With terms all columns of `extended_frame.columns_along`.
+    With terms all columns of `extended_frame.columns_along`; `published`: see there.
     """
-    columns = columns_along(states, actuation, parameters.terms, constants(parameters), bool(parameters.terms))
-    return pd.DataFrame(columns)
+    extended, c = bool(parameters.terms), constants(parameters)
+    return pd.DataFrame(columns_along(states, actuation, parameters.terms, c, extended, published))
 
 
 def _oxygen(fine: Actuation, states: np.ndarray, parameters: EngineParameters) -> tuple[np.ndarray, np.ndarray]:

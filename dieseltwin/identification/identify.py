@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from dieseltwin.errors import InputError
+from dieseltwin.identification.in_place import InPlace
 from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.result import Identification
 from dieseltwin.settings.methods import find
@@ -57,4 +58,7 @@ def identify_segments(
     began = time.perf_counter()
     estimates = chosen.run(list(problems), runs, seed, bodies=bodies, operators=operators, maps=maps, config=config)
     seconds = time.perf_counter() - began
-    return Identification(method, tuple(estimates), tuple(problems), seed, seconds, config.identifiable_bound_rel)
+    return Identification(
+        method, tuple(estimates), tuple(problems), seed, seconds, config.identifiable_bound_rel,
+        InPlace(maps, operators),
+    )  # fmt: skip

@@ -19,8 +19,9 @@ from scipy.special import stdtrit
 
 from dieseltwin.arrays import Array
 from dieseltwin.engine.parameters import HEALTH, HEALTH_UNITS
+from dieseltwin.identification.in_place import InPlace
 from dieseltwin.identification.problem import SegmentProblem
-from dieseltwin.identification.states import StateSamples, segment_states
+from dieseltwin.identification.states import FORMULAE, StateSamples, segment_states
 from dieseltwin.least_squares import INTERVAL, Z_90
 
 SCHEMA = 1
@@ -152,14 +153,14 @@ class SegmentEstimate:
             result[name] = ParameterSummary(mean, std, interval, float(self.bound[i]), known, common)
         return result
 
-    def states_over_time(self, problem: SegmentProblem) -> pd.DataFrame:
+    def states_over_time(self, problem: SegmentProblem, learned: InPlace = FORMULAE) -> pd.DataFrame:
         """States and derived quantities with the bands that the method's samples give; see `states.segment_states`."""
         summary = self.summary()
         health = {name: mean for name in HEALTH if (mean := summary[name].mean) is not None}
         samples = None
         if self.state_samples is not None and self.parameter_samples is not None:
             samples = StateSamples(self.state_samples, self.parameter_samples)
-        return segment_states(problem, self.states, health, samples)
+        return segment_states(problem, self.states, health, samples, learned)
 
 
 @dataclass(frozen=True)
@@ -173,6 +174,7 @@ class Identification:
         seed: seed of the starts.
         seconds: wall seconds of the whole identification [s].
         threshold: largest relative bound that counts as identifiable [-].
+        learned: what it was made with in place of formulae.
     """
 
     method: str
@@ -181,6 +183,11 @@ class Identification:
     seed: int
     seconds: float
     threshold: float
+    learned: InPlace = FORMULAE
+
+    def __getstate__(self) -> dict[str, Any]:
+        """For another process: the states of every segment, but no networks, which nothing else needs."""
+        return {**self.__dict__, "states": self.states, "learned": FORMULAE}
 
     @property
     def runs(self) -> int:
@@ -272,7 +279,7 @@ class Identification:
         """States and derived quantities of every segment (column `segment`: 0, 1, ..); see `states.segment_states`."""
         parts = []
         for number, (segment, problem) in enumerate(zip(self.segments, self.problems, strict=True)):
-            table = segment.states_over_time(problem)
+            table = segment.states_over_time(problem, self.learned)
             table.insert(0, "segment", number)
             parts.append(table)
         return pd.concat(parts, ignore_index=True)

@@ -9,12 +9,14 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from dieseltwin.engine import HEALTH, actuate, quantities_frame
+from dieseltwin.engine import HEALTH, quantities_frame
 from dieseltwin.engine.extended_frame import lanes_along
+from dieseltwin.identification.in_place import InPlace
 from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.least_squares import INTERVAL
 from dieseltwin.symbols import INPUT_COLUMNS
 
+FORMULAE = InPlace()
 LOW, HIGH = "_lo", "_hi"
 """Suffixes of the columns that hold the 90 % band."""
 
@@ -40,6 +42,7 @@ def segment_states(
     states: NDArray[np.float64],
     health: Mapping[str, float],
     samples: StateSamples | None = None,
+    learned: InPlace = FORMULAE,
 ) -> pd.DataFrame:
     """States and derived quantities of one segment, with bands.
 
@@ -48,19 +51,22 @@ def segment_states(
         states: (n, 5) p_im, p_em, omega_t, x_r, T_1 of the pooled estimate [Pa, Pa, rad/s, -, K].
         health: health parameters of the pooled estimate [m2, m2, -, W/(m2 K)].
         samples: what the bands are read from; None leaves them out.
+        learned: what the estimate was made with; everything that follows from the states is that of its nominal maps,
+            and a sample of the bands has a member of them, or dropout realisation, of its own.
 
     Returns:
         One row for each sample: the columns of the reference traces in SI units (inputs, states, flows, temperatures,
         efficiencies), and `<column>_lo`, `<column>_hi` with samples: the 90 % band over runs and their uncertainty.
     """
-    actuation = actuate(problem.inputs, problem.parameters)
-    table = quantities_frame(states, actuation, problem.parameters.replace(**health))
+    actuation = learned.actuation(problem)
+    table = quantities_frame(states, actuation, problem.parameters.replace(**health), learned.model())
     table["time_s"] = problem.time_s
     if samples is None:
         return table
     columns = [c for c in table.columns if c not in _INPUTS + _ACTUATORS]
     health_of_draw = dict(zip(HEALTH, samples.parameters.T, strict=True))
-    drawn = lanes_along(samples.states, actuation, problem.parameters, **health_of_draw)
+    members = learned.model(range(1, len(samples.states) + 1))
+    drawn = lanes_along(samples.states, actuation, problem.parameters, members, **health_of_draw)
     edges = [0.5 - INTERVAL / 2.0, 0.5 + INTERVAL / 2.0]
     limits = {name: np.quantile(drawn[name], edges, axis=0) for name in columns}
     bands = {f"{name}{LOW}": low for name, (low, _) in limits.items()}

@@ -46,8 +46,14 @@ IDENTIFIABILITY = line("""
 """)
 
 STATES = "The states that the methods estimate. x_r and T_1 are never measured: they follow from the model."
-FLOWS = "Mass flows and gas temperatures that follow from the estimated states and parameters."
-EMPIRICAL = "The six empirical maps of the engine model, evaluated along the estimated states."
+FLOWS = line("""
+    Mass flows and gas temperatures that follow from the estimated states and parameters, with the learned maps and
+    actuators where a method had these.
+""")
+EMPIRICAL = line("""
+    The six empirical maps of the engine model along the estimated states, as the method had them: the formulae, or
+    learned maps, whose bands hold the spread of their members or of their dropout.
+""")
 SEGMENTS = "Dotted lines separate the segments, each of which is estimated on its own."
 ERRORS = line("""
     Below each quantity: estimate minus truth in % of the true signal's mean over the identified part; note its scale.

@@ -26,12 +26,8 @@ from dieseltwin.identification.few_shot.damped_newton import Factor, Runs, minim
 from dieseltwin.identification.few_shot.defects import STEP_S, Defects, defects, simulate_windows, windows_for
 from dieseltwin.identification.few_shot.heads import heads_for
 from dieseltwin.identification.few_shot.process_noise import Setting, calibrate
-from dieseltwin.identification.few_shot.residuals import (
-    N_HEALTH,
-    PointModel,
-    driven_inputs,
-    told_inputs,
-)
+from dieseltwin.identification.few_shot.residuals import N_HEALTH, PointModel, driven_inputs
+from dieseltwin.identification.in_place import told_actuation
 from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.result import STATE_SAMPLES, SegmentEstimate, intervals_from_log_std
 from dieseltwin.identification.settings import NewtonConfig
@@ -105,9 +101,7 @@ def prepare(
 ) -> Setting:
     """Heads, inputs and windows of one segment."""
     actuation = actuate(problem.inputs, problem.parameters, STEP_S)
-    inputs = driven_inputs(actuation)
-    if operators is not None:
-        inputs = told_inputs(inputs, operators, problem.inputs, problem.parameters)
+    inputs = driven_inputs(told_actuation(actuation, operators, problem.parameters))
     return Setting(
         problem,
         actuation,

@@ -9,21 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from dieseltwin.engine import HEALTH, Actuation, Constants, EngineParameters, Inputs, bind, constants
+from dieseltwin.engine import HEALTH, Actuation, Constants, EngineParameters, bind, constants
 from dieseltwin.engine._compiled_tangents import N_RESULTS, linearise_points
 from dieseltwin.engine.array_namespace import with_charge
-from dieseltwin.engine.egr import egr_valve_position
 from dieseltwin.engine.tangents import VALUES
 from dieseltwin.identification.few_shot.term_model import TermModel
-
-if TYPE_CHECKING:
-    from dieseltwin.surrogates.operators import ActuatorOperators
 
 N_HEALTH = len(HEALTH)
 
@@ -43,17 +39,8 @@ class DrivenInputs(NamedTuple):
     u_vgt: Tensor
 
 
-def told_inputs(
-    inputs: DrivenInputs, operators: ActuatorOperators, segment: Inputs, parameters: EngineParameters
-) -> DrivenInputs:
-    """The same inputs with the actuator positions [%] that the operators predict of a segment's commands."""
-    told = operators.predict(segment)
-    u_egr = egr_valve_position(told.u_egr1, told.u_egr2, constants(parameters))
-    return inputs._replace(u_egr=torch.tensor(u_egr), u_vgt=torch.tensor(told.u_vgt))
-
-
 def driven_inputs(actuation: Actuation) -> DrivenInputs:
-    """Inputs and exact actuator positions at the sample times of a segment, (n,) each."""
+    """Inputs and actuator positions at the sample times of a segment, (n,) each."""
     return DrivenInputs(*(torch.tensor(c, dtype=torch.float64) for c in actuation.at_samples()))
 
 

@@ -19,9 +19,9 @@ from dieseltwin.identification.few_shot.residuals import (
     PointModel,
     driven_inputs,
     physics_residuals,
-    told_inputs,
 )
 from dieseltwin.identification.few_shot.term_model import TermModel
+from dieseltwin.identification.in_place import told_actuation
 from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.unknowns import health_of, start_centre, starts, to_masked, to_physical
 from dieseltwin.paper.loop_settings import AdamConfig, PinnConfig
@@ -200,9 +200,7 @@ def make_program(
     initial: dict[int, NDArray[np.float64]] = {}
     for lane in lanes:
         if lane.index not in inputs:
-            told = driven_inputs(actuations[lane.index])
-            if operators is not None:
-                told = told_inputs(told, operators, lane.problem.inputs, lane.problem.parameters)
+            told = driven_inputs(told_actuation(actuations[lane.index], operators, lane.problem.parameters))
             inputs[lane.index] = told
             initial[lane.index] = _initial(lane.problem, told, actuations[lane.index])
     stacked = DrivenInputs(
