@@ -21,6 +21,7 @@ from dieseltwin.paper.loops import c_library, compiled_loss, point_loops
 from dieseltwin.paper.loops import few_shot_adam as fewshot_adam
 from dieseltwin.paper.loops.compiled_loss import CompiledLoss, EagerLoss, Place, gradient_function
 from dieseltwin.paper.loops.few_shot_program import METHOD, Lane, Program, draw_lane, make_program, start_values
+from dieseltwin.paper.loops.losses import TERMS
 from dieseltwin.surrogates.empirical import EmpiricalMaps, MapNetwork
 
 needs_compiler = pytest.mark.skipif(shutil.which("gcc") is None, reason="no C compiler")
@@ -77,7 +78,7 @@ def _case(
 
 def _gradients(program: Program, place: Place, compiled: bool) -> list[Tensor]:
     total = gradient_function(program, place, 1, compiled)(True)
-    return [v.clone() for v in (total, place.by_masked, *place.by_z, *place.by_weights)]
+    return [v.clone() for v in (total, place.by_masked, *place.by_z, *place.by_weights, *place.terms.unbind(1))]
 
 
 @needs_compiler
@@ -88,9 +89,11 @@ def test_compiled_equals_eager_and_32_bits_are_safe(lanes: list[Lane], maps: Emp
         _gradients(*_case(lanes, maps if learned else None, dtype), compiled)
         for dtype, compiled in ((torch.float32, True), (torch.float64, True), (torch.float64, False))
     )
-    for short, long, expected in zip(single, double, eager, strict=True):
+    gradients = len(eager) - len(TERMS)
+    for number, (short, long, expected) in enumerate(zip(single, double, eager, strict=True)):
         assert float((long - expected).abs().max() / expected.abs().max()) < 1e-9
-        assert float((short.double() - expected).norm() / expected.norm()) < 5e-6
+        rounding = 5e-6 if number < gradients else 5e-5  # a mean square of small differences of large readings
+        assert float((short.double() - expected).norm() / expected.norm()) < rounding
 
 
 @pytest.mark.thorough

@@ -43,17 +43,19 @@ def made(problem: SegmentProblem, dtype: torch.dtype) -> tuple[Any, StateNetwork
     return program, networks, pinn.start_values(lanes, program, networks, settings)
 
 
-def gradients(problem: SegmentProblem, dtype: torch.dtype, compiled: bool) -> tuple[Tensor, Tensor]:
-    """Losses and gradients of all columns."""
+def gradients(problem: SegmentProblem, dtype: torch.dtype, compiled: bool) -> tuple[Tensor, Tensor, Tensor]:
+    """Losses, gradients of all columns, and the terms of the losses."""
     program, networks, values = made(problem, dtype)
     gradient = torch.zeros_like(values)
     place = Place.within(values, gradient, networks.size, program)
-    return epoch_function(program, networks, (values, gradient), place, 1, compiled)(False, True), gradient
+    total = epoch_function(program, networks, (values, gradient), place, 1, compiled)(False, True)
+    return total, gradient, place.terms
 
 
 def test_compiled_equals_eager_and_32_bits_are_safe(problem: SegmentProblem) -> None:
     double, eager = (gradients(problem, torch.float64, compiled) for compiled in (True, False))
     torch.testing.assert_close(double[0], eager[0], rtol=1e-11, atol=0.0)
+    torch.testing.assert_close(double[2], eager[2], rtol=1e-9, atol=0.0)
     size = StateNetworks(problem.time_s).size
     single = gradients(problem, torch.float32, True) if len(problem.time_s) > BLOCK else None  # a program each
     for columns in (slice(0, size), slice(size, size + 4), slice(size + 4, None)):

@@ -26,7 +26,7 @@ from dieseltwin.engine import HEALTH
 from dieseltwin.identification.unknowns import physical_columns
 from dieseltwin.paper.loops.c_library import NotCompiledError
 from dieseltwin.paper.loops.few_shot_program import Program
-from dieseltwin.paper.loops.losses import Weights, channel_gradient, weights_gradient
+from dieseltwin.paper.loops.losses import TERMS, Weights, channel_gradient, weights_gradient
 from dieseltwin.paper.loops.point_loops import PointLoops, lift, pointers
 
 WORTHWHILE = 50_000
@@ -44,6 +44,7 @@ class Place:
         masked: (L, 4) unknowns.
         weights: self-adaptive weights.
         by_z, by_masked, by_weights: gradients, shapes as these.
+        terms: (L, 10) `losses.TERMS`.
     """
 
     z: list[Tensor]
@@ -52,6 +53,7 @@ class Place:
     by_z: list[Tensor]
     by_masked: Tensor
     by_weights: Weights
+    terms: Tensor
 
     @classmethod
     def within(cls, values: Tensor, gradient: Tensor, unknowns: int, program: Program) -> Place:
@@ -65,7 +67,7 @@ class Place:
 
         widths = [int(c.shape[1]) for c in program.columns]
         z, by_z = ([values.new_empty(count, width) for width in widths] for _ in range(2))
-        return cls(z, *views(values), by_z, *views(gradient))
+        return cls(z, *views(values), by_z, *views(gradient), values.new_empty(count, len(TERMS)))
 
 
 class EagerLoss:
@@ -75,13 +77,14 @@ class EagerLoss:
         self.program, self.place = program, place
 
     def __call__(self, adaptive: bool) -> Tensor:
-        """Total loss (L,); the gradients are written, those of the weights only if they adapt."""
+        """Total loss (L,); terms and gradients are written, those of the weights only if they adapt."""
         at = self.place
         leaves = [v.detach().requires_grad_() for v in (*at.z, at.masked)]
         loss = self.program(leaves[:-1], leaves[-1], at.weights)
         found = torch.autograd.grad(loss.total.sum(), leaves)
         for target, value in zip((*at.by_z, at.by_masked), found, strict=True):
             target.copy_(value)
+        torch.stack(loss.terms, 1, out=at.terms)
         if adaptive:
             for target, value in zip(at.by_weights, weights_gradient(loss, at.weights), strict=True):
                 target.copy_(value)
@@ -115,7 +118,7 @@ class CompiledLoss:
             found = torch.autograd.grad(loss.total, leaves, torch.ones_like(loss.total))
             up = [channel_gradient(square, weights.pointwise[:, i]) for i, square in enumerate(loss.channels)]
             single = [loss.singles[i] * torch.sigmoid(weights.single[:, i]) for i in range(2)]
-            return tuple(v.detach() for v in (*found, *up, *single, loss.total))
+            return tuple(v.detach() for v in (*found, *up, *single, loss.total, *loss.terms))
 
         recorded: Any = make_fx(flat)(*example)
         lifted = lift(recorded)
@@ -123,7 +126,7 @@ class CompiledLoss:
         up = place.by_weights
         written = (
             *program.points(place.by_z), *place.by_masked.unbind(1), *up.pointwise.unbind(1), *up.single.unbind(1),
-            self.total,
+            self.total, *place.terms.unbind(1),
         )  # fmt: skip
         arguments = (*example, *lifted)
         self._held: Sequence[Any] = (arguments, written, place)
@@ -133,7 +136,7 @@ class CompiledLoss:
         self.strides = (ctypes.c_long * len(written))(*(t.stride(0) for t in written))
 
     def __call__(self, adaptive: bool) -> Tensor:
-        """Total loss (L,); all gradients are written."""
+        """Total loss (L,); terms and all gradients are written."""
         self.loops.run(0, len(self.total), self.inputs, self.outputs, self.strides)
         return self.total
 

@@ -190,7 +190,7 @@ def train(
         if epoch in keep:
             curve_health.append(to_physical(masked, torch))
             curve_loss.append(total.clone())
-            curve_terms.append(program.terms(z, masked, weights))
+            curve_terms.append(place.terms.clone())
             curve_held_out.append(program.held_out_misfit(z, masked, sigma))
             better = curve_held_out[-1] < least
             best[better], least[better] = values[better], curve_held_out[-1][better]

@@ -30,7 +30,6 @@ from dieseltwin.paper.loops.losses import (
     Loss,
     Observed,
     Weights,
-    loss_terms,
     starting_weights,
     total_loss,
 )
@@ -161,12 +160,6 @@ class Program:
         """Loss of `points` and four health values, each (L, n): every operation but the sums is one point's own."""
         states, rates = self._states(points)
         return total_loss(self._residuals(states, rates, health), states, weights, self.observed)
-
-    @torch.no_grad()
-    def terms(self, z: Sequence[Tensor], masked: Tensor, weights: Weights) -> Tensor:
-        """(L, 10) `losses.TERMS` of linear outputs and masked unknowns."""
-        residuals, states = self.residuals(z, masked)
-        return loss_terms(residuals, total_loss(residuals, states, weights, self.observed), self.observed)
 
     @torch.no_grad()
     def held_out_misfit(self, z: Sequence[Tensor], masked: Tensor, sigma: Tensor) -> Tensor:

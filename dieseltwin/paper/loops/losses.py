@@ -41,7 +41,7 @@ TERMS = (
     *(f"loss_physics_{name}" for name in ("p_im", "p_em", "omega_t", "x_r", "T_1")),
     *(f"loss_data_{name}" for name in (*POINTWISE, "T_em")),
 )  # fmt: skip
-"""Names of `loss_terms`."""
+"""Names of `Loss.terms`."""
 
 
 class Weights(NamedTuple):
@@ -108,11 +108,18 @@ class Loss:
         total: (L,).
         channels: four (L, n), squared scaled data residuals over the number of readings, for the weights' ascent.
         singles: two (L,), losses that the single weights multiply: data of T_em, physics of T_1.
+        physics: five (L,), mean squares of the scaled physics residuals (A.56).
     """
 
     total: Tensor
     channels: tuple[Tensor, ...]
     singles: tuple[Tensor, ...]
+    physics: tuple[Tensor, ...]
+
+    @property
+    def terms(self) -> tuple[Tensor, ...]:
+        """Ten (L,), mean squares `TERMS` over the units of the residuals, without any weight (A.56, A.57)."""
+        return (*self.physics, *(square.sum(-1) for square in self.channels), self.singles[0])
 
     @property
     def mean_squares(self) -> Tensor:
@@ -155,15 +162,8 @@ def total_loss(residuals: PhysicsResiduals, states: tuple[Tensor, ...], weights:
         + initial + data + of_t_em * t_em
     )  # fmt: skip
     channels = tuple(square.detach() for square in squares[: len(POINTWISE)])
-    return Loss(total, channels, (t_em.detach(), physics[4].detach()))
-
-
-def loss_terms(residuals: PhysicsResiduals, loss: Loss, observed: Observed) -> Tensor:
-    """(L, 10) mean squares `TERMS` over the units of `observed.scales`, without any weight: A.56, A.57."""
-    units = observed.scales.physics
-    physics = [(r / unit).square().mean(-1) for r, unit in zip(residuals[:5], units, strict=True)]
-    data = [*(square.sum(-1) for square in loss.channels), loss.singles[0]]
-    return torch.stack([*physics, *data], -1)
+    of_physics = tuple(mean.detach() for mean in physics)
+    return Loss(total, channels, (t_em.detach(), of_physics[4]), of_physics)
 
 
 def data_misfit(loss: Loss, observed: Observed, sigma: Tensor) -> Tensor:

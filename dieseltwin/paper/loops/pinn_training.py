@@ -165,7 +165,7 @@ def train(
             program.renew()
             total = evaluate(stage.layers == "last", stage.rate_weights > 0.0)
             if epoch in kept:
-                curve.add(program, place, total)
+                curve.add(masked, total, place.terms)
                 if progress is not None:
                     progress(epoch)
             m.lerp_(g, 1.0 - BETA_1)
@@ -178,7 +178,7 @@ def train(
         for target, z in zip(place.z, networks.outputs(values), strict=True):
             target.copy_(z)
         loss = program(place.z, masked, place.weights)
-        curve.add(program, place, loss.total)
+        curve.add(masked, loss.total, torch.stack(loss.terms, 1))
         states, _ = program.states(place.z)
         misfit = data_misfit(loss, program.observed, torch.tensor(sigma, dtype=values.dtype))
     found = Trained(
@@ -198,11 +198,10 @@ class _Curve:
         self.loss: list[Tensor] = []
         self.terms: list[Tensor] = []
 
-    @torch.no_grad()
-    def add(self, program: Program, place: Place, total: Tensor) -> None:
-        self.health.append(to_physical(place.masked, torch))
+    def add(self, masked: Tensor, total: Tensor, terms: Tensor) -> None:
+        self.health.append(to_physical(masked, torch))
         self.loss.append(total.clone())
-        self.terms.append(program.terms(place.z, place.masked, place.weights))
+        self.terms.append(terms.clone())
 
 
 def make_lanes(
