@@ -98,6 +98,8 @@ class Responses:
         """Directions (D, n C) that join windows, and what is left of the residual (n, C) in the metric."""
         at = self.at
         rows = at.whitening.present.size
+        if not np.isfinite(at.covariance).all():
+            raise np.linalg.LinAlgError("the machine runs away")
         remaining = at.projected_residual - (at.projected_residual @ at.projected.T) @ at.covariance @ at.projected
         parts = [cholesky(at.covariance, lower=True).T @ at.projected[:, :rows]]
         if at.metric.nuisance_basis is not None:

@@ -363,11 +363,15 @@ def _final(
 def _curve(
     twin: Twin, at: Linearisation, law: LawTwin, lin: Linearisation,
     variables: dict[str, Array], argument: str, spread: float,
-) -> Curve:  # fmt: skip
-    """The law over its argument beside what the recording says bin by bin, free of it."""
+) -> Curve | None:  # fmt: skip
+    """The law over its argument beside what the recording says bin by bin, free of it; None where the machine runs away
+    with what the law adds held as it is."""
     name = law.laws[0].form.point
     signals = signals_of(law, lin.fit.lanes())
-    responses = _free_of(twin, at, signals, lin.fit, (name,))
+    try:
+        responses = _free_of(twin, at, signals, lin.fit, (name,))
+    except np.linalg.LinAlgError:
+        return None
     return law_curve(variables[argument], signals[name], spread, responses.point(point_index(twin.points, name)))
 
 
