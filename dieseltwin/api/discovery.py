@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import filecmp
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TypeAlias
 
@@ -11,7 +11,8 @@ from dieseltwin.api import driving, rigs
 from dieseltwin.api.engines import AnyEngine, Engine, petrol_base
 from dieseltwin.api.findings import Asked, Discovered, Kind, Question
 from dieseltwin.api.reading import Channels, Made, Opened, Source, as_engine, opened, settled, several
-from dieseltwin.discovery.verdict.explain import check_name
+from dieseltwin.discovery.verdict.explain import Known, check_name
+from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.errors import InputError
 from dieseltwin.petrol.parameters import PetrolParameters
 from dieseltwin.recordings.reader import Recording
@@ -79,6 +80,20 @@ def ask(
     if asked.explain is not None:
         check_name(asked.explain, question.catalogue)
     return question
+
+
+def catalogue_of(folder: Path) -> Mapping[str, Known]:
+    """Effects that the answer in a folder was chosen among, by the repaired machine beside it; those of the diesel
+    engine where there is none."""
+    file = folder / "engine.yaml"
+    machine = as_engine(file) if file.is_file() else None
+    if isinstance(machine, RigParameters):
+        return rigs.catalogue_of(machine.model_copy(update={"terms": ()}))  # what was found is a term by now
+    if isinstance(machine, PetrolParameters):
+        from dieseltwin.petrol.effects import HYPOTHESES
+
+        return HYPOTHESES
+    return EFFECTS
 
 
 def _machine(engine: AnyEngine | None, asked: Asked) -> Engine:

@@ -92,6 +92,11 @@ class RigDiscovered(Discovered):
         return runtime
 
 
+def catalogue_of(rig: RigParameters) -> Mapping[str, Known]:
+    """Effects that the rig's file names, by name."""
+    return {h.name: h for h in model_of(rig).hypotheses}
+
+
 @dataclass(frozen=True)
 class RigQuestion(Question):
     """A recording of a rig, and the rig.
@@ -114,7 +119,7 @@ class RigQuestion(Question):
 
     @property
     def catalogue(self) -> Mapping[str, Known]:
-        return {h.name: h for h in model_of(self.rig).hypotheses}
+        return catalogue_of(self.rig)
 
     def answered_in(self, folder: Path) -> bool:
         return answers(folder, self.asked, self.recording.sha256)

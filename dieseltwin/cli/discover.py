@@ -77,7 +77,7 @@ def discover_command(
     strict: Strict = False,
 ) -> None:
     """Find what physics the twin leaves out: where, what, how large, since when."""
-    from dieseltwin.api.discovery import ask
+    from dieseltwin.api.discovery import ask, catalogue_of
     from dieseltwin.api.findings import Asked
     from dieseltwin.discovery.verdict.explain import explain
     from dieseltwin.settings.defaults import deciding_by
@@ -86,7 +86,7 @@ def discover_command(
     if not recordings:
         if name is None:
             raise InputError("RECORDING", "nothing", "a recording", "name the recording")
-        say(explain(name, out))
+        say(explain(name, out, catalogue_of(out)))
         return
     settings = load_params(params, profile)
     asked = Asked(names(sensors), names(withhold), map_tolerance, seed, tuple(reference or ()), settings.discover,

@@ -282,6 +282,8 @@ def test_explained_from_what_is_there(
     written = (out / "runtime.json").read_bytes()
     assert main([*base, "--explain", "w_af_gain"]) == 0
     assert (out / "runtime.json").read_bytes() == written and "w_af_gain" in capsys.readouterr().out
+    assert main(["discover", "--out", str(out), "--explain", "w_af_gain"]) == 0  # by the engine beside the answer
+    assert "w_af_gain" in capsys.readouterr().out
     assert main([*base, "--explain", "w_af_gain", "--map-tolerance", "0.03"]) == 0
     assert (out / "runtime.json").read_bytes() != written
 
