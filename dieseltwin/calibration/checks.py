@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 
 from dieseltwin.arrays import Array
+from dieseltwin.engine import EngineParameters
 from dieseltwin.engine.cylinder import fuel_flow
 from dieseltwin.errors import InputError
+from dieseltwin.notes import Note
 from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.guess.physics import ranks_agree
 from dieseltwin.recordings.ranks import ranks
@@ -21,6 +23,7 @@ _SAME_DIGITS = 3  # of rpm, mg and %: points that agree in all of them say the s
 SHUT = 0.005  # an EGR fraction below this everywhere is a shut valve [-]
 STILL = 1.5  # an actuator whose spread (standard deviation) stays below this does not move [%]
 STOICHIOMETRIC = 14.57
+FILLING = (0.6, 1.2)  # volumetric efficiency of a four-stroke engine [-], charged at T_im
 SURE = 3.0  # a direction is told when its slope has this many standard deviations
 
 
@@ -174,3 +177,17 @@ def _explained(area: Array, u: Array) -> float:
     y = area[good]
     fit = np.polyval(np.polyfit(u[good], y, 2), u[good])
     return float(1.0 - np.var(y - fit) / np.var(y))
+
+
+def filling_notes(points: SteadyPoints, engine: EngineParameters) -> list[Note]:
+    """A note where the flows that were measured fill the displacement by what no engine is filled by."""
+    warm = points["t_im_k"] if "t_im_k" in points else np.full(points.size, engine.T_im)
+    gas = points["w_c_kg_s"] + points["w_egr_kg_s"]
+    filled = float(np.nanmedian(120.0 * engine.R_a * warm * gas / (points["p_im_pa"] * points["n_e_rpm"] * engine.V_d)))
+    low, high = FILLING
+    if low <= filled <= high:
+        return []
+    litres = 1e3 * engine.V_d
+    return [Note(f"the flows fill {litres:.3g} l of displacement by {filled:.2g}, where {low:g} to {high:g} is usual: "
+                 f"an engine of some {litres * filled / 0.9:.2g} l would take them; check the geometry and the units "
+                 "of w_c_kg_s and w_egr_kg_s", "wrong_engine", ("w_c_kg_s", "w_egr_kg_s"))]  # fmt: skip

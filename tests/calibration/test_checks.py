@@ -12,7 +12,7 @@ import pytest
 import dieseltwin as dt
 from dieseltwin.calibration import calibrate as module
 from dieseltwin.calibration.calibrate import calibrate, read_geometry
-from dieseltwin.calibration.checks import actuators, check_points, conductances, egr_shut
+from dieseltwin.calibration.checks import actuators, check_points, conductances, egr_shut, filling_notes
 from dieseltwin.calibration.outlying import without_slips
 from dieseltwin.calibration.steady_model import ROWS, SteadyModel
 from dieseltwin.engine import we2011
@@ -50,6 +50,12 @@ def test_twelve_points_are_too_few(few: SteadyPoints) -> None:
 def test_one_point_sixty_times_is_refused(few: SteadyPoints) -> None:
     with pytest.raises(InputError, match="1 different operating points in 60 rows"):
         check_points(few.take(np.zeros(60, dtype=int)), "points.csv")
+
+
+def test_a_displacement_that_no_flow_fills_is_said(few: SteadyPoints) -> None:
+    assert filling_notes(few, TRUTH) == []
+    (note,) = filling_notes(few, TRUTH.replace(V_d=10.0 * TRUTH.V_d))
+    assert "by 0.08" in note and note.code == "wrong_engine"
 
 
 def test_directions_are_found(few: SteadyPoints) -> None:
