@@ -24,7 +24,7 @@ class Note(str):
             circumstances (what a recording doesn't say, found from the recording itself), not_recorded,
             wrong_column (of the weather), long_steps (of a rig's integration), hold (of its inputs between rows),
             terms_left_out (of the engine file), next_effect (what else there may be), health_or_law (which of the two
-            changed).
+            changed), rough_maps (found beside maps that are off by percents, without a reference).
         affects: columns, or segments, that it is about; none: the whole answer.
     """
 

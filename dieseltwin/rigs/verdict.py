@@ -33,6 +33,7 @@ from dieseltwin.discovery.verdict.health_value import HealthValue
 from dieseltwin.discovery.verdict.reasons import candidate_rows
 from dieseltwin.discovery.verdict.when import when_words
 from dieseltwin.notes import Note
+from dieseltwin.recordings.noise import estimate_noise
 from dieseltwin.rigs.discover import RigDiscovery, Round
 from dieseltwin.rigs.simulate import step_error
 from dieseltwin.rigs.twin import RigTwin
@@ -43,6 +44,7 @@ MORE = "more is missing; no law foretells it"
 LONG_STEPS = "long_steps"
 UNEXPLAINED = "wrong_engine"
 HOLD = "hold"
+LOUD = 3.0  # times the noise, by which a repaired machine may miss a reading without a word
 LEFT_BY_HOLD = 0.8  # of the error (rms); another way between rows leaves less than that where it is the right one
 LEAST_EXPLAINED = 0.5  # of a reading's variance; the tanks without what they lack explain 0.95
 
@@ -65,7 +67,7 @@ def document(result: RigDiscovery) -> Discrepancy:
         minimum_detectable=finite_only(minimum_detectable(first.found.scored, first.found.settings.alarm_gain)),
         provenance=Provenance(code_version=__version__, params_sha256=result.options.sha256),
     )  # fmt: skip
-    own = (*_unexplained(result, made.fit), *_step_notes(result), *_hold_notes(result))
+    own = (*_unexplained(result, made.fit), *_left_notes(result), *_step_notes(result), *_hold_notes(result))
     doubts = [*fit_doubts(made), *own, *recording.notes]
     return with_warnings(made, doubts)
 
@@ -80,6 +82,20 @@ def _unexplained(result: RigDiscovery, fit: Fit) -> list[Note]:
                     "machine explains less than half of it; check units, columns and its file's values")  # fmt: skip
             notes.append(Note(text, UNEXPLAINED, [name]))
     return notes
+
+
+def _left_notes(result: RigDiscovery) -> list[Note]:
+    """Readings of which free runs of the machine with what was found leave several times the noise: what is named may
+    be part of what is missing."""
+    judged = [item for item in result.taken if item.after.size]
+    if result.more_is_missing or not judged:
+        return []
+    twin: RigTwin = result.fit_after.twin  # type: ignore[assignment]
+    noise = np.maximum(estimate_noise(twin.measured).sigma, twin.floors)
+    errors = zip(twin.channels, judged[-1].after, noise, strict=True)
+    return [Note(f"free runs of the repaired machine miss {name} by {off:.3g} (rms), {off / own:.2g} times its noise: "
+                 "what is found isn't all that is missing, or stands for something that the file has no name for",
+                 "residuals", [name]) for name, off, own in errors if off > LOUD * own]  # fmt: skip
 
 
 def _step_notes(result: RigDiscovery) -> list[Note]:

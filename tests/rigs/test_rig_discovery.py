@@ -24,8 +24,8 @@ CART: dict[str, Any] = {
 }  # fmt: skip
 
 
-def driven(mass: float = 1.5, n: int = 900, drag: float = 2.0) -> pd.DataFrame:
-    """Samples every 0.05 s, integrated here in small steps."""
+def driven(mass: float = 1.5, n: int = 900, drag: float = 2.0, grown: float = 0.0) -> pd.DataFrame:
+    """Samples every 0.05 s, integrated here in small steps; drag grows by `grown` until the end."""
     rng, parts, step = np.random.default_rng(1), 40, 0.05
     force = np.interp(np.arange(n), np.arange(0, n + 40, 20), rng.uniform(-8.0, 8.0, n // 20 + 2))
     v, rows = 0.0, []
@@ -33,7 +33,7 @@ def driven(mass: float = 1.5, n: int = 900, drag: float = 2.0) -> pd.DataFrame:
         rows.append((k * step, force[k], v + 0.004 * rng.standard_normal()))
         for share in (np.arange(parts) + 0.5) / parts:
             now = force[k] + share * (force[min(k + 1, n - 1)] - force[k])
-            v += step / parts * (now - drag * v) / mass
+            v += step / parts * (now - (drag + grown * k / n) * v) / mass
     return pd.DataFrame(rows, columns=["time_s", "force_n", "v_m_s"])
 
 
@@ -55,6 +55,16 @@ def test_a_sensor_that_is_absent_in_the_judged_part_keeps_no_finding_back() -> N
     fit = found.document.fit
     assert fit.share_explained is not None and fit.share_explained > 0.9 and fit.held_out_nll_after is not None
     assert "nan" not in found.sentence
+
+
+def test_a_name_that_leaves_several_times_the_noise_says_so() -> None:
+    """Nothing grows by the rigs' grammar: wear that does is met by its mean."""
+    found = dt.discover(driven(grown=4.0), rig())
+    assert "worn" in [effect.name for effect in found.document.effects]
+    (doubt,) = [item for item in found.document.warnings if item.code == "residuals"]
+    assert doubt.affects == ("v_m_s",) and "times its noise" in doubt.text
+    found = dt.discover(driven(drag=3.0), rig())
+    assert found.document.mismatch and "residuals" not in [item.code for item in found.document.warnings]
 
 
 def test_a_recording_that_is_not_the_machines_is_no_clean_bill() -> None:
