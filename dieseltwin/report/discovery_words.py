@@ -13,7 +13,7 @@ from dieseltwin.discovery.verdict.document import (
 )
 from dieseltwin.discovery.verdict.health_value import HealthValue
 from dieseltwin.discovery.verdict.unseen import HealthBias, most_first
-from dieseltwin.discovery.verdict.when import clock, when_words
+from dieseltwin.discovery.verdict.when import CONDITIONS, clock, only_in_words, when_words
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.notes import listing
 from dieseltwin.report import quantities
@@ -56,12 +56,7 @@ _UNITS: Mapping[str, tuple[str, float]] = {
 
 
 # shares of a full input range above which a region is no restriction worth a word
-_REGION_RANGES: Mapping[str, tuple[str, str, float]] = {
-    "n_e_rpm": ("n_e", "rpm", 1500.0),
-    "u_delta_mg": ("u_delta", "mg/cycle", 249.0),
-    "u_egr_pct": ("u_egr", "%", 100.0),
-    "u_vgt_pct": ("u_vgt", "%", 80.0),
-}
+_REGION_RANGES: Mapping[str, float] = {"n_e_rpm": 1500.0, "u_delta_mg": 249.0, "u_egr_pct": 100.0, "u_vgt_pct": 80.0}
 _NARROW = 0.35
 _SHARE = 0.5  # of the evidence from which a region is worth a word
 _LEAST_SHIFT = 0.01  # relative shift of a health parameter that is worth a word
@@ -155,8 +150,9 @@ def _sure(probability: float) -> str:
 def region_words(region: FoundRegion) -> str:
     """The columns that the region really restricts ("n_e 1200 to 1500 rpm"); empty where it restricts none."""
     parts = []
-    for column, (symbol, unit, span) in _REGION_RANGES.items():
+    for column, span in _REGION_RANGES.items():
         low, high = getattr(region, column)
+        symbol, unit = CONDITIONS[column]
         if high - low < _NARROW * span:
             parts.append(f"{symbol} {low:.0f} to {high:.0f} {unit}")
     return ", ".join(parts)
@@ -206,6 +202,8 @@ def _when_words(document: Discrepancy) -> str:
     if location is None:
         return ""
     text = _over_recordings(document) if document.recordings else when_words(location)
+    if location.only_in:
+        return f"{text}, {only_in_words(location)}" if document.recordings else text
     confined = [r for r in location.regions if r.share_of_evidence >= _SHARE and region_words(r)]
     if confined:
         region = max(confined, key=lambda r: r.share_of_evidence)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from markupsafe import Markup
 
 from dieseltwin.discovery.verdict.document import Discrepancy, FoundEffect
+from dieseltwin.discovery.verdict.when import only_in_words
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.report import quantities
 from dieseltwin.report.discovery_words import effect_words, magnitude_words, site_of, site_words
@@ -97,6 +98,8 @@ def _card(effect: FoundEffect, document: Discrepancy, told: Told | None, judged:
         title = effect_words(effect) if effect.named else "what no effect of the catalogue explains"
         told = Told(title, "", site, (law,) if law else (), "", "")
     where = f"It enters in {site_words(told.site)}." if told.site else ""
+    if location is not None and location.only_in:
+        where += f" It acts {only_in_words(location)}."
     size = f"{name_markup(told.symbol)} = {told.size}" if told.symbol else ""
     known = ((s.name, s.meaning + ("" if s.unit == "-" else f" [{s.unit}]")) for s in symbols_in(" ".join(told.laws)))
     symbols = tuple((Markup(name_markup(name)), words) for name, words in told.symbols or known)

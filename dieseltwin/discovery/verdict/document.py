@@ -73,6 +73,8 @@ class FoundRegion(FrozenModel):
 class Location(FrozenModel):
     """Where the mismatch enters the model, in which driving, and since when [s from the recording's first row].
 
+    `only_in`: the conditions in which alone it acts, by their columns, None where such a range is open at that end; and
+    `regions`: the box that holds most of the evidence, whether it acts outside or not.
     `until_s`: before when, where it went again. `grows`: its size isn't constant but grows evenly from nothing at the
     onset to what is stated, at the recording's end. `gone_s`: spans in between in which it was gone. They are in the
     document where they are so alone.
@@ -89,6 +91,7 @@ class Location(FrozenModel):
     gone_s: Spans = where_told(())
     onset_date: str | None = None
     onset_after: str | None = None
+    only_in: dict[Name, tuple[float | None, float | None]] = where_told({})
 
     @model_validator(mode="after")
     def _consistent(self) -> Location:

@@ -10,7 +10,7 @@ from scipy.special import expit, logsumexp
 
 from dieseltwin.discovery.likelihood.fit import Fit
 from dieseltwin.discovery.search.state import Search
-from dieseltwin.discovery.search.variants import Variant
+from dieseltwin.discovery.search.variants import Region, Variant, inside_region
 from dieseltwin.discovery.twins.diesel import EngineTwin
 from dieseltwin.discovery.twins.interface import Array, Twin
 from dieseltwin.discovery.twins.several import SeveralTwin
@@ -33,9 +33,24 @@ def location(found: Search, twin: EngineTwin | SeveralTwin, evidence: Array) -> 
     variant = found.variant if found.kind == "variant" else None
     return ranked_location(
         site_probabilities(found),
-        regions=_regions(twin, evidence, variant.region if variant else None),
+        regions=_regions(twin, evidence, variant.region if variant else None), only_in=_only_in(found),
         **({} if variant is None else times_since_start(twin, variant)), **_since_of_law(found, twin),
     )
+
+
+def _only_in(found: Search) -> dict[str, tuple[float | None, float | None]]:
+    """The conditions in which alone the chosen explanation acts; an edge beyond the range driven is none."""
+    region = _region(found)
+    inside: dict[str, tuple[float | None, float | None]] = {}
+    for name, (low, high) in region.items():
+        values = found.twin.conditions[name]
+        inside[name] = (low if low > values.min() else None, high if high < values.max() else None)
+    return {name: edges for name, edges in inside.items() if edges != (None, None)}
+
+
+def _region(found: Search) -> Region:
+    variant = found.variant if found.kind == "variant" else None
+    return {} if variant is None or variant.region is None else variant.region
 
 
 def _since_of_law(found: Search, twin: Twin) -> dict[str, Any]:
@@ -201,14 +216,24 @@ def _named(found: Search, fit: Fit, name: str, probability: float, equivalents: 
 
 
 def valid_for(found: Search) -> str:
-    """The driving behind a finding, in words."""
-    conditions = found.twin.conditions
+    """The driving behind a finding, in words: of what acts in a part of it, that part."""
+    acts = _acting(found)
+    conditions = {name: values[acts] for name, values in found.twin.conditions.items()}
     units = {"n_e_rpm": "rpm", "u_delta_mg": "mg/cycle", "u_egr_pct": "%", "u_vgt_pct": "%"}
     parts = [
         f"{name.rsplit('_', 1)[0]} {np.min(values):.4g}-{np.max(values):.4g} {units.get(name, '')}".strip()
         for name, values in conditions.items()
     ]
     return ", ".join(parts)
+
+
+def _acting(found: Search) -> Array:
+    """(n,) whether the explanation acts at each sample."""
+    if region := _region(found):
+        return inside_region(found.twin.conditions, region)
+    if found.kind == "variant" and found.variant is not None:
+        return found.variant.schedule > 0.0
+    return found.twin.time_s >= (-np.inf if found.since_s is None else found.since_s)
 
 
 def _unnamed(found: Search) -> FoundEffect:

@@ -8,6 +8,7 @@ import numpy as np
 
 from dieseltwin.discovery.likelihood.fit import Fit
 from dieseltwin.discovery.search.state import Search, occam
+from dieseltwin.discovery.search.variants import Variant
 from dieseltwin.discovery.twins.interface import Twin
 from dieseltwin.discovery.verdict.curves import Candidate
 from dieseltwin.sensors import SENSORS
@@ -20,9 +21,13 @@ def candidate_rows(found: Search) -> list[Candidate]:
     P = len(found.twin.parameters)
     chosen = set(found.best.fit.candidate.names) if found.best is not None and found.kind != "law" else set()
     equivalent = {name for names in found.equivalent for name in names} - chosen if found.kind != "healthy" else set()
-    top = found.gain(found.singles[0]) if found.singles else 0.0
     rows: list[Candidate] = []
     fitted: dict[str, Fit] = {fit.candidate.names[0]: fit for fit in found.singles}
+    top = max(map(found.gain, found.singles[:1]), default=0.0)
+    confined = _confined(found)
+    fitted |= {name: fit for name, (_, fit) in confined.items()}
+    if found.kind == "variant":
+        top = max(top, found.explained())
     if found.standing and found.best is not None:
         fitted[found.best.fit.candidate.names[0]] = found.best.fit
     evidence = {name: occam(found, fit) for name, fit in fitted.items()}
@@ -40,10 +45,30 @@ def candidate_rows(found: Search) -> list[Candidate]:
                 name=name, site=hypothesis.site, log_likelihood_gain=float(0.5 * gain), magnitude=magnitude,
                 std=std if np.isfinite(std) else None, tolerance=hypothesis.tolerance,
                 probability=float(np.exp(evidence[name] - total)) if fit is not None else None,
-                reason=_reason(found, name, gain, magnitude, top, chosen, equivalent),
+                reason=_reason(found, name, gain, magnitude, top, chosen, equivalent)
+                + (f", {_where(confined[name][0])}" if name in confined else ""),
             )
         )
     return sorted(rows, key=lambda row: -(row["log_likelihood_gain"] or 0.0))
+
+
+def _confined(found: Search) -> dict[str, tuple[Variant, Fit]]:
+    """Effects with their best variants, where such a one is the explanation: the chosen one's own, and those that gain
+    more than their effect does that is of one size everywhere and always."""
+    if found.kind != "variant" or found.variant is None:
+        return {}
+    alone = {fit.candidate.names[0]: found.gain(fit) for fit in found.singles}
+    best: dict[str, tuple[Variant, Fit]] = {}
+    for variant, fit in sorted(found.variants, key=lambda pair: pair[0] is not found.variant):  # it comes first
+        if variant is found.variant or found.gain(fit) > alone.get(variant.name, 0.0):
+            best.setdefault(variant.name, (variant, fit))
+    return best
+
+
+def _where(variant: Variant) -> str:
+    if variant.profile is not None:
+        return "of another size in some recordings than in others"
+    return "acting in a part of the driving" if variant.region is not None else "acting at some times"
 
 
 def _reason(
@@ -66,7 +91,7 @@ def _reason(
     if found.kind == "law":
         best = 0.5 * found.everything_unnamed()[0].gain
         return f"log-likelihood gain {half:.1f}, against {best:.1f} by a term without a name"
-    return f"log-likelihood gain {half:.1f}, {0.5 * (top - gain):.1f} less than the best single effect"
+    return f"log-likelihood gain {half:.1f}, {0.5 * (top - gain):.1f} less than the best {'one' if found.kind == 'variant' else 'single effect'}"
 
 
 def split_by(found: Search, name: str, others: Sequence[str]) -> str:

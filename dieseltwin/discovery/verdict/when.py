@@ -1,8 +1,17 @@
-"""When a mismatch acts, in words and as marks on an axis of time."""
+"""When and in which driving a mismatch acts, in words and as marks on an axis of time."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from dieseltwin.discovery.verdict.document import Location
+from dieseltwin.notes import listing
+
+CONDITIONS: Mapping[str, tuple[str, str]] = {
+    "n_e_rpm": ("n_e", "rpm"), "u_delta_mg": ("u_delta", "mg/cycle"), "u_egr_pct": ("u_egr", "%"),
+    "u_vgt_pct": ("u_vgt", "%"),
+}  # fmt: skip
+"""Column of an operating condition -> its symbol and unit."""
 
 _LISTED = 4  # spans; more are counted
 
@@ -19,8 +28,10 @@ def _span(first_s: float, last_s: float) -> str:
 
 
 def when_words(where: Location) -> str:
-    """Since when, until when, and whether it grows, on one recording."""
+    """Since when, until when, and whether it grows, on one recording; or the driving in which alone it acts."""
     onset, until = where.onset_s, where.until_s
+    if where.only_in:
+        return only_in_words(where)
     if where.gone_s:
         return _in_parts(where)
     if where.grows:
@@ -29,6 +40,22 @@ def when_words(where: Location) -> str:
         span = f"until {clock(until)}" if onset is None else _span(onset, until)
         return f"{span}, and gone since then"
     return "from the start" if onset is None else f"since {clock(onset)}"
+
+
+def only_in_words(where: Location) -> str:
+    """The driving in which alone it acts ("only at n_e 947 to 1720 rpm and u_delta up to 146 mg/cycle")."""
+    order = [*(name for name in CONDITIONS if name in where.only_in), *sorted(set(where.only_in) - set(CONDITIONS))]
+    return f"only at {listing([_range_words(name, *where.only_in[name]) for name in order])}"
+
+
+def _range_words(column: str, low: float | None, high: float | None) -> str:
+    symbol, unit = CONDITIONS.get(column, (column, ""))
+    first, last = (None if edge is None else f"{float(f'{edge:.3g}'):g}".replace("-", "−") for edge in (low, high))
+    if first is not None and last is not None:
+        span = f"{first} to {last} {unit}"
+    else:
+        span = f"up to {last} {unit}" if first is None else f"from {first} {unit} on"
+    return f"{symbol} {span}"
 
 
 def _in_parts(where: Location) -> str:
