@@ -19,6 +19,7 @@ import pandas as pd
 from dieseltwin.api.engines import AnyEngine, Engine
 from dieseltwin.api.reading import Channels, Opened, Source
 from dieseltwin.api.results import Result
+from dieseltwin.api.versions import versions
 from dieseltwin.atomic import atomic_folder, write_json
 from dieseltwin.discovery.verdict.document import FILE_NAME, Discrepancy
 from dieseltwin.discovery.verdict.explain import DETAILS, Known
@@ -205,10 +206,11 @@ def sha256_if_there(path: str | Path) -> str | None:
 
 
 def machine() -> dict[str, Any]:
-    """Where and when it was run, for `runtime.json`."""
+    """Where, when and with which versions it was run, for `runtime.json`."""
     return {
         "finished": datetime.now(UTC).isoformat(timespec="seconds"),
         "host": platform.node(),
         "platform": platform.platform(),
         "cpus": os.cpu_count(),
+        "versions": {name: found for name, found in versions().items() if name != "platform"},
     }

@@ -86,10 +86,9 @@ class RigDiscovered(Discovered):
         from dieseltwin.report.rigs import rig_page  # matplotlib takes longer to load than a rig to simulate
 
         save_rig(self.engine, folder / "engine.yaml")
-        runtime = {"seconds": self.found.seconds, **machine()}
-        page = rig_page(self.found, self.document, self.sentence, runtime)
+        page = rig_page(self.found, self.document, self.sentence)
         write_page(page, folder / "report.html", folder / "figures")
-        return runtime
+        return {"seconds": self.found.seconds, **machine()}
 
 
 def catalogue_of(rig: RigParameters) -> Mapping[str, Known]:

@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from markupsafe import Markup
 
 from dieseltwin.discovery.verdict.curves import Discovery
+from dieseltwin.discovery.verdict.document import Discrepancy
 from dieseltwin.report import discovery_figures, discovery_residuals, findings, over_recordings, quantities
 from dieseltwin.report.discovery_words import sentence, unit_of
 from dieseltwin.report.encoding import Drawing, Drawn, drawn_here, drawn_in_two
@@ -19,7 +19,7 @@ from dieseltwin.report.law_cards import law_cards
 from dieseltwin.report.page import Page, Section, kept_of, write_page
 from dieseltwin.report.style import ReportFigure
 
-LOUD = 1.3  # rms residual over noise; right names leave 1.0 to 1.1 where maps and sensors keep to their tolerances
+_OF_THE_FIT = ("misfit", "residuals")  # warnings that stand above the page's findings
 
 
 def of_curves(found: Discovery) -> dict[str, Drawing]:
@@ -62,25 +62,10 @@ def discovery_sections(found: Discovery, drawn: Drawn = drawn_here) -> list[Sect
     return [section for section in sections if not section.empty]
 
 
-def left_over(found: Discovery) -> str:
-    """A warning about channels in which the repaired fit leaves clearly more than noise; empty where there are none."""
-    rmse = found.document.fit.rmse_after
-    sigma = dict(zip(found.curves.channels, found.curves.sigma, strict=True))
-    loud = {name: rmse[name] / sigma[name] for name in rmse if sigma.get(name) and rmse[name] > LOUD * sigma[name]}
-    if not loud:
-        return ""
-    parts = ", ".join(f"{name} {ratio:.1f} times its noise" for name, ratio in loud.items())
-    after = "the repair" if found.document.mismatch else "the fit"
-    return (f"After {after} more than noise is left: {parts}. Maps or sensors use their tolerances to the full there, "
-            "or what is named imitates something else. Look at the residual maps before you believe it.")  # fmt: skip
-
-
-def _plain(value: Any) -> str:
-    if isinstance(value, float):
-        return f"{value:.3g}"
-    if isinstance(value, dict):
-        return ", ".join(f"{key} {_plain(item)}" for key, item in value.items())
-    return ", ".join(map(_plain, value)) if isinstance(value, list | tuple) else str(value)
+def caution(document: Discrepancy) -> str:
+    """What is doubtful about the fit, to stand above the findings; empty where nothing is."""
+    said = [doubt.text[:1].upper() + doubt.text[1:] for doubt in document.warnings if doubt.code in _OF_THE_FIT]
+    return "" if not said else ". ".join([*said, "Look at the residual maps before you believe what is found."])
 
 
 def _page(found: Discovery, drawn: Drawn) -> Page:
@@ -91,11 +76,10 @@ def _page(found: Discovery, drawn: Drawn) -> Page:
         about=f"Recording: {Path(recording.path).name} · {recording.duration_s:.0f} s · {len(recording.channels)} "
         "sensors",
         headline=Markup(quantities.with_symbols(sentence(document))), alarm=document.mismatch,
-        caution=Markup(quantities.with_symbols(left_over(found))),
+        caution=Markup(quantities.with_symbols(caution(document))),
         findings=findings.findings(document), cards=law_cards(document),
         tables=(findings.places(document), findings.levels(document, "health parameter"), findings.fit(document)),
         sections=discovery_sections(found, drawn), provenance=findings.provenance(document),
-        machine=[(str(key), _plain(value)) for key, value in found.runtime.items()],
     )  # fmt: skip
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -108,13 +107,12 @@ def _names(law: str) -> list[str]:
     return "".join(c if c.isalnum() or c == "_" else " " for c in law).split()
 
 
-def rig_page(found: RigDiscovery, document: Discrepancy, words: str, machine: Mapping[str, object]) -> Page:
+def rig_page(found: RigDiscovery, document: Discrepancy, words: str) -> Page:
     """What the page says.
 
     Args:
         found: the rounds and both machines.
         document, words: the verdict.
-        machine: what differs from run to run.
     """
     recording, rig = found.recording, found.repaired
     units, first = units_of(rig), found.rounds[0].found
@@ -148,5 +146,5 @@ def rig_page(found: RigDiscovery, document: Discrepancy, words: str, machine: Ma
         tables=(findings.places(document), findings.levels(document, "parameter", units),
                 findings.fit(document, units)),
         sections=sections, provenance=findings.provenance(document),
-        machine=[(key, str(value)) for key, value in machine.items()], source=rig.source or f"the file of {rig.name}",
+        source=rig.source or f"the file of {rig.name}",
     )  # fmt: skip

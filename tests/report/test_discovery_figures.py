@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 import synthetic_discovery as synthetic
 
+from dieseltwin.discovery.discover import loud_channels
 from dieseltwin.discovery.verdict.curves import Discovery
-from dieseltwin.discovery.verdict.document import Discrepancy
+from dieseltwin.discovery.verdict.document import Discrepancy, with_warnings
+from dieseltwin.notes import Note
 from dieseltwin.report import discovery_figures, discovery_residuals
-from dieseltwin.report.discovery_page import build_discovery_report, discovery_sections, left_over, of_curves
+from dieseltwin.report.discovery_page import build_discovery_report, caution, discovery_sections, of_curves
 from dieseltwin.report.discovery_words import sentence
 from dieseltwin.report.encoding import drawn_in_two
 from dieseltwin.report.style import ReportFigure
@@ -114,7 +116,7 @@ def test_page_is_self_contained_and_says_the_sentence(leak: Discovery, plain: Pa
     start = sentence(leak.document).split(";")[0].split("with")[0]
     assert start in words
     for expected in ("41.0 ± 2.0 mm²", "compressor_efficiency_loss", "+46.9 %", "2.8150", "beneath its tolerance",
-                     "0" * 64, "Machine and times", "W_leak = A p_im/sqrt(R_a T_im)"):  # fmt: skip
+                     "0" * 64, "W_leak = A p_im/sqrt(R_a T_im)"):  # fmt: skip
         assert expected in words
     assert {path.stem for path in (plain.parent / "figures").iterdir()} == FIGURES
     assert len(text.encode()) < 4 * 1024 * 1024
@@ -141,11 +143,35 @@ def test_a_law_without_a_name_is_drawn_as_what_it_changes(leak: Discovery, law: 
     assert figure is not None and figure.figure.axes[0].get_ylabel() == f"{label} [kg/s]"
 
 
-def test_channels_that_stay_loud_are_named(leak: Discovery) -> None:
-    assert left_over(leak) == ""
-    rmse = {**leak.document.fit.rmse_after, "omega_t_rad_s": 2.0 * synthetic.SIGMA[2]}
-    document = synthetic.document(fit={**synthetic.content()["fit"], "rmse_after": rmse})
-    assert "omega_t_rad_s 2.0 times its noise" in left_over(replace(leak, document=document))
+def test_doubts_about_the_fit_stand_above_the_findings(leak: Discovery) -> None:
+    assert caution(leak.document) == ""
+    notes = [Note("more than noise is left in omega_t_rad_s", "residuals"), Note("short", "short")]
+    text = caution(with_warnings(leak.document, notes))
+    assert text.startswith("More than noise is left in omega_t_rad_s. Look at the residual maps")
+    assert "short" not in text
+
+
+def test_what_tolerances_explain_is_no_doubt_and_what_they_do_not_is_one(leak: Discovery) -> None:
+    """The turbo speed of a healthy engine had a rest of 1.9 times its noise, which the maps' tolerances explain."""
+    assert loud_channels(leak) == []
+    curves, more = leak.curves, np.zeros_like(leak.curves.measured)
+    more[:, 2] = 2.0 * synthetic.SIGMA[2] * np.sin(np.arange(len(more)) / 40.0)
+    for allowed, loud in ((None, ("omega_t_rad_s",)), (more, ())):
+        found = replace(leak, curves=replace(curves, measured=curves.measured + more, allowed=allowed))
+        notes = loud_channels(found)
+        assert sum((note.affects for note in notes), ()) == loud
+        for note in notes:
+            assert note.code == "residuals" and "omega_t_rad_s (1.7 times its noise)" in note
+            assert note.endswith("what is named may imitate something else")
+    healthy = Discrepancy.model_validate(synthetic.healthy_content())
+    found = replace(leak, document=healthy, curves=replace(curves, measured=curves.measured + more))
+    assert "imitate" not in loud_channels(found)[0]
+
+
+def test_times_stand_apart_so_that_equal_runs_give_equal_pages(leak: Discovery, tmp_path: Path) -> None:
+    pages = [build_discovery_report(replace(leak, runtime={"total_s": total}), tmp_path / f"{total}.html").read_bytes()
+             for total in (9.1, 12.345)]  # fmt: skip
+    assert pages[0] == pages[1]
 
 
 def test_little_is_enough(leak: Discovery) -> None:
