@@ -40,10 +40,11 @@ def json_lines() -> Iterator[str]:
 def table_lines() -> Iterator[str]:
     """The catalogue as a table, columns of `HEADINGS`."""
     from dieseltwin.engine.effects import EFFECTS
+    from dieseltwin.report.circumstance_words import NEARLY_HEALTH
 
     rows = [HEADINGS] + [
         (e.name, e.law, e.unit, f"{e.limits[0]:g} to {e.limits[1]:g}", f"{e.tolerance:g}", e.site,
-         ", ".join(e.confused_with) or "-")
+         ", ".join([*e.confused_with, *(NEARLY_HEALTH[n][0] for n in (e.name,) if n in NEARLY_HEALTH)]) or "-")
         for e in EFFECTS.values()
     ]  # fmt: skip
     widths = [max(len(row[i]) for row in rows) for i in range(len(HEADINGS))]

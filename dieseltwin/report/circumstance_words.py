@@ -9,11 +9,17 @@ from dieseltwin.notes import listing
 from dieseltwin.report import quantities
 
 ALIKE: Mapping[str, tuple[str, str]] = {
-    "egr_dead_time": ("time_shift:u_egr_pct", "u_egr_pct alone is recorded early by as much"),
-    "vgt_dead_time": ("time_shift:u_vgt_pct", "u_vgt_pct alone is recorded early by as much"),
-    "injector_drift": ("", "the fuel signal's scale or the fuel's heating value is off by as much"),
+    "egr_dead_time": ("time_shift:u_egr_pct", "a column u_egr_pct that alone is recorded early by as much"),
+    "vgt_dead_time": ("time_shift:u_vgt_pct", "a column u_vgt_pct that alone is recorded early by as much"),
+    "injector_drift": ("", "a fuel signal whose scale, or a fuel whose heating value, is off by as much"),
 }
 """Effect -> circumstance that looks the same, and in words."""
+
+NEARLY_HEALTH: Mapping[str, tuple[str, str]] = {
+    "injector_drift": ("eta_sc", "only the contrast between low and high loads decides, and weighing the fuel would "
+                       "settle it"),
+}  # fmt: skip
+"""Effect -> health parameter that it is hardly separable from, and what decides, in words."""
 
 
 def circumstance_words(item: FoundCircumstance) -> str:
@@ -76,6 +82,13 @@ def recorded_words(document: Discrepancy) -> list[str]:
             ] if words else []  # fmt: skip
 
 
+def nearly_health_words(document: Discrepancy) -> list[str]:
+    """That a change of health gives nearly the same as what was found, and what decides."""
+    names = [effect.name for effect in document.effects if effect.name in NEARLY_HEALTH]
+    return [f"{name} is hardly separable from {NEARLY_HEALTH[name][0]}, which could give nearly the same: "
+            f"{NEARLY_HEALTH[name][1]}" for name in names]  # fmt: skip
+
+
 def alike_words(document: Discrepancy) -> list[str]:
     """Effects that the recording's own errors would look like, as sentences."""
     opened = {item.name for item in document.circumstances}
@@ -83,5 +96,5 @@ def alike_words(document: Discrepancy) -> list[str]:
     for name in (name for effect in document.effects for name in effect.names):
         alike = ALIKE.get(name)
         if alike is not None and alike[0] not in opened:
-            said.append(f"{name} can't be told from this: {alike[1]}")
+            said.append(f"in this recording {name} looks the same as {alike[1]}")
     return said

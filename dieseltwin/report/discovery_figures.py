@@ -19,9 +19,10 @@ from dieseltwin.discovery.verdict.when import clock, moments
 from dieseltwin.least_squares import Z_90
 from dieseltwin.report import discovery_captions as captions
 from dieseltwin.report import quantities, style
-from dieseltwin.report.discovery_words import bias_words, display_unit, magnitude_words, unit_of
+from dieseltwin.report.discovery_words import display_unit, magnitude_words, unit_of
 from dieseltwin.report.segment_axis import WIDTH_IN
 from dieseltwin.report.style import AFTER, BEFORE, LIGHT
+from dieseltwin.report.visible_words import bias_words
 
 DROPPED = "#b8b8b8"
 MOST_CANDIDATES = 14

@@ -12,12 +12,11 @@ from dieseltwin.discovery.verdict.document import (
     FoundRegion,
 )
 from dieseltwin.discovery.verdict.health_value import HealthValue
-from dieseltwin.discovery.verdict.unseen import HealthBias, most_first
 from dieseltwin.discovery.verdict.when import CONDITIONS, clock, only_in_words, when_words
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.notes import listing
 from dieseltwin.report import quantities
-from dieseltwin.report.circumstance_words import recorded_words, shown_day
+from dieseltwin.report.circumstance_words import nearly_health_words, recorded_words, shown_day
 
 SENSOR = "sensor:"
 
@@ -134,7 +133,7 @@ def effect_words(effect: FoundEffect) -> str:
 
 
 def least_words(name: str, smallest: float) -> str | None:
-    """The smallest visible magnitude of an effect ("a boost leak of 3.1 mm²"); None for an unknown name."""
+    """An effect of a smallest magnitude ("a boost leak of 3.1 mm²"); None for an unknown name."""
     unit = unit_of(name)
     entry = EFFECTS.get(name)
     if unit is None or entry is None:
@@ -250,6 +249,12 @@ def _may_sit_elsewhere(document: Discrepancy) -> bool:
     return document.more_is_missing and any(not effect.named and effect.law for effect in document.effects)
 
 
+def _names_sit_elsewhere(document: Discrepancy, site: str) -> bool:
+    """Whether a name that can't be told from the one of a site enters at another: its probability settles nothing."""
+    others = (name for e in document.effects if site_of(e.name) == site for name in e.equivalent_names)
+    return any(site_of(name) not in (None, site) for name in others)
+
+
 def _placed(effects: Sequence[FoundEffect], site: str, sure: str = "") -> str:
     """Named effects in one phrase; those of another site than the first's say theirs. `sure` follows the first."""
     text = f"{effect_words(effects[0])} {sure}".rstrip()
@@ -290,7 +295,8 @@ def _what_words(document: Discrepancy) -> str:
     location = document.location
     if location is None:
         return ""
-    sure = "the likeliest place" if _may_sit_elsewhere(document) else _sure(location.probability)
+    unsettled = _may_sit_elsewhere(document) or _names_sit_elsewhere(document, location.site)
+    sure = "the likeliest place" if unsettled else _sure(location.probability)
     where = f"in {site_words(location.site)} ({sure})"
     named = [effect for effect in document.effects if effect.named]
     unnamed = [effect for effect in document.effects if not effect.named]
@@ -321,7 +327,7 @@ def _healthy(document: Discrepancy) -> str:
     p_value = f"p = {document.p_value:.2g}"
     small = document.too_small
     seen = () if small is None else (small.name, *small.equivalent_names)
-    known = {name: least for name, least in document.minimum_detectable.items() if name not in seen}
+    known = {name: least for name, least in document.surely_detectable.items() if name not in seen}
     shown = list(filter(None, (least_words(name, known[name]) for name in _EXAMPLES if name in known)))
     beyond = document.p_value < _BEYOND_CHANCE
     if document.out_of_time is not None and beyond:
@@ -337,7 +343,7 @@ def _healthy(document: Discrepancy) -> str:
                 f"as odd by chance ({p_value}): noise, the four health parameters and the tolerances of the maps may "
                 "explain it")
     else:
-        text = (f"Nothing is missing that {_these(len(document.recordings))} could show ({p_value}): noise, the four "
+        text = (f"Nothing is missing that {these(len(document.recordings))} could show ({p_value}): noise, the four "
                 "health parameters and the tolerances of the maps explain it")
     if small is not None:
         rivals = [name.replace("_", " ") for name in small.equivalent_names]
@@ -347,11 +353,13 @@ def _healthy(document: Discrepancy) -> str:
         text += (f", though not all of it: {document.fit.chi2_per_sample_after:.2f} of chi-square per sample is left"
                  " where noise leaves 1, more than those tolerances take up")
     if shown:
-        text += f"; {listing(shown)} would have been seen, smaller ones cannot be ruled out"
+        text += (f"; {listing(shown)} would have been found in 19 of 20 such recordings, smaller ones cannot be ruled "
+                 "out")
     return "; ".join([text, *recorded_words(document), *_time_words(document), *_doubt_words(document)]) + "."
 
 
-def _these(recordings: int) -> str:
+def these(recordings: int) -> str:
+    """What was judged, to stand before "could show"."""
     return "these recordings" if recordings > 1 else "this recording"
 
 
@@ -366,30 +374,10 @@ def sentence(document: Discrepancy) -> str:
             _health_words(document),
             _held_out_words(document),
             _apart_words(document),
+            *nearly_health_words(document),
             *_left_words(document),
             *recorded_words(document),
             *_time_words(document),
             *_doubt_words(document),
         ]
     ) + "."
-
-
-def bias_words(bias: HealthBias, effect: str) -> list[str]:
-    """Health that an effect, unseen, would move, most first ("eta_sc −1.9 %")."""
-    return [f"{name} {100 * change:+.2g} %".replace("-", "−") for name, change in most_first(bias, effect)]
-
-
-def visible_table(smallest: Mapping[str, float], bias: HealthBias, recordings: int = 1) -> list[str]:
-    """What so many recordings could show, as lines of text: smallest visible size, tolerance, the health parameter that
-    an effect of that size, unseen, would move most, place."""
-    rows = []
-    for name, size in smallest.items():
-        effect = EFFECTS[name]
-        mark = "" if size <= effect.tolerance else f"  {size / effect.tolerance:.2g} x tolerance"
-        shown = magnitude_words(name, size, None, effect.unit, extra=False, digits=2)
-        least = magnitude_words(name, effect.tolerance, None, effect.unit, extra=False, digits=2)
-        moved = "".join(bias_words(bias, name)[:1])
-        line = f"{name:<31}{shown:>18}{least:>18}   {moved:<17} {effect.site}{mark}"
-        rows.append((size / effect.tolerance, line))
-    head = f"{_these(recordings) + ' could show':<31}{'from':>18}{'of interest from':>18}   {'unseen, it moves':<17} in"
-    return [head, *(line for _, line in sorted(rows))]

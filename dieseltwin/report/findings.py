@@ -13,8 +13,9 @@ from dieseltwin.discovery.verdict.health_value import HealthValue
 from dieseltwin.discovery.verdict.when import when_words
 from dieseltwin.least_squares import Z_90
 from dieseltwin.report import quantities
-from dieseltwin.report.discovery_words import bias_words, display_unit, magnitude_words, site_words
+from dieseltwin.report.discovery_words import display_unit, magnitude_words, site_words
 from dieseltwin.report.page import EMPTY, Table
+from dieseltwin.report.visible_words import bias_words
 
 Unit = Callable[[str, str | None], tuple[str, float]]
 """Effect and its unit -> the unit that is shown, and the factor to it."""

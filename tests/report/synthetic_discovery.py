@@ -82,7 +82,9 @@ def healthy_content() -> dict[str, Any]:
     """`discrepancy.json` of a healthy recording."""
     health = {name: {**entry, "before": entry["value"]} for name, entry in content()["health"].items()}
     fit = {**content()["fit"], "held_out_nll_before": 2.5, "chi2_per_sample_before": 1.0}
-    return content(mismatch=False, p_value=0.42, location=None, effects=[], health=health, fit=fit)
+    surely = {name: 1.5 * size for name, size in MINIMUM.items()} | {"boost_leak": 4.1e-6, "back_pressure": 2.11e4}
+    return content(mismatch=False, p_value=0.42, location=None, effects=[], health=health, fit=fit,
+                   surely_detectable=surely)  # fmt: skip
 
 
 def document(**changes: Any) -> Discrepancy:

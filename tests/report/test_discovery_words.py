@@ -20,8 +20,8 @@ OFFSET = {
 
 def test_named_with_equivalents() -> None:
     assert sentence(synthetic.document()) == (
-        "The twin leaves out, in the intake mass balance (97 % sure), a boost leak of 41.0 ± 2.0 mm², from the start; "
-        "the fit of the health parameters alone had put h_tot 47 % too high, eta_sc 20 % too low and A_vgtmax 11 % too "
+        "The twin leaves out, in the intake mass balance (the likeliest place), a boost leak of 41.0 ± 2.0 mm², from "
+        "the start; the fit of the health parameters alone had put h_tot 47 % too high, eta_sc 20 % too low and A_vgtmax 11 % too "
         "low; on the held-out part the negative log-likelihood falls from 2.81 to 2.50 per sample; boost_leak cannot "
         "be told apart from compressor_efficiency_loss, which a w_c_kg_s sensor would settle."
     )
@@ -30,9 +30,9 @@ def test_named_with_equivalents() -> None:
 def test_healthy() -> None:
     text = sentence(Discrepancy.model_validate(synthetic.healthy_content()))
     assert text.startswith("Nothing is missing that this recording could show (p = 0.42)")
-    assert "a boost leak of 2.6 mm²" in text and "1.3 kPa at 0.3 kg/s" in text
-    assert text.endswith("would have been seen, smaller ones cannot be ruled out.")
-    bare = sentence(Discrepancy.model_validate({**synthetic.healthy_content(), "minimum_detectable": {}}))
+    assert "a boost leak of 4.1 mm²" in text and "1.9 kPa at 0.3 kg/s" in text  # not the sizes of half of them
+    assert text.endswith("would have been found in 19 of 20 such recordings, smaller ones cannot be ruled out.")
+    bare = sentence(Discrepancy.model_validate({**synthetic.healthy_content(), "surely_detectable": {}}))
     assert bare.endswith("the tolerances of the maps explain it.")
 
 
@@ -69,6 +69,26 @@ def test_none_of_these_with_and_without_a_law() -> None:
     assert "(no law for it could be resolved)" in text
 
 
+def test_a_name_of_another_site_that_is_as_good_leaves_the_place_open() -> None:
+    """A withheld blow-by was "in the turbine power (more than 99 % sure)", not told from the compressor's power."""
+    for names, sure in ((["compressor_efficiency_loss"], False), ([], True), (["intake_heat"], True)):
+        text = sentence(synthetic.document(effects=[{**synthetic.LEAK, "equivalent_names": names}]))
+        assert ("(the likeliest place)" in text) is not sure and ("(97 % sure)" in text) is sure
+
+
+def test_a_drift_of_the_injectors_is_said_to_be_hardly_separable_from_eta_sc() -> None:
+    drift = {"name": "injector_drift", "probability": 1.0, "equivalent_names": [], "law": "u_delta (1 + k)",
+             "magnitude": 0.06, "std": 0.009, "unit": "-", "valid_for": None, "split_by": None}  # fmt: skip
+    location = {**synthetic.LOCATION, "site": "fuel_injection"}
+    document = synthetic.document(effects=[drift], location=location, circumstances=[])
+    assert "; injector_drift is hardly separable from eta_sc, which could give nearly the same: only " in (
+        sentence(document))  # fmt: skip
+    assert "hardly separable" not in sentence(synthetic.document())
+    (note,) = circumstance_notes(document)
+    assert note == ("in this recording injector_drift looks the same as a fuel signal whose scale, or a fuel whose "
+                    "heating value, is off by as much")  # fmt: skip
+
+
 def test_a_law_that_leaves_much_is_not_sure_of_its_site() -> None:
     # a leak that came and went twice was "in the compressor power (more than 99 % sure)", five times the noise left
     for more in (False, True):
@@ -88,7 +108,8 @@ def test_two_effects_say_their_own_places() -> None:
 def test_onset_region_and_other_places() -> None:
     location = {**synthetic.LOCATION, "onset_s": 312.4, "regions": [synthetic.REGION], "probability": 0.7,
                 "alternatives": [{"site": "turbine_flow", "probability": 0.25}]}  # fmt: skip
-    text = sentence(synthetic.document(location=location))
+    alone = {**synthetic.LEAK, "equivalent_names": []}
+    text = sentence(synthetic.document(location=location, effects=[alone]))
     assert ", since 312 s, with 80 % of the evidence at n_e 1200 to 1500 rpm, u_delta 120 to 200 mg/cycle;" in text
     assert "(70 % sure)" in text and "it could also sit in the turbine flow (25 %)" in text
     text = sentence(synthetic.document(location={**location, "onset_s": 1234.0}))

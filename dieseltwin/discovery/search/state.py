@@ -173,9 +173,14 @@ class Search:
             return None if self.law is None else self.law.since_s
         return self.variant.onset_s if self.kind == "variant" and self.variant is not None else None
 
+    @property
+    def gain_of_alarm(self) -> float:
+        """Gain from which on an effect whose size is of interest is an alarm."""
+        return max(self.settings.alarm_gain, self.chance.threshold(self.settings.alarm_level))
+
     def beyond_chance(self, fit: Fit) -> bool:
         """Whether what a fit explains is an alarm if its sizes are of interest."""
-        return bool(self.gain(fit) >= max(self.settings.alarm_gain, self.chance.threshold(self.settings.alarm_level)))
+        return bool(self.gain(fit) >= self.gain_of_alarm)
 
     def names_for_round(self, misfit: float, least_explained: float, refused: bool = False) -> tuple[str, ...]:
         """What a round takes: the choice, or the strongest name where what it leaves is the next round's.

@@ -78,7 +78,7 @@ def assemble(
     apart = disagreement(found, at)
     since = since_reference(at, found.twin, apart)
     evidence = _evidence(found, after)
-    sizes, differ = told_apart(found, days) if mismatch else ([], "")
+    differ = told_apart(found, days) if mismatch else ""
     location = onset_of(findings.location(found, twin, evidence), found, days) if mismatch else None
     allowed, smallest = allowance(found, after), minimum_detectable(found.scored, found.settings.alarm_gain)
     figures = fit_figures(found, at, allowed)
@@ -110,10 +110,11 @@ def assemble(
             more_is_missing=found.more_is_missing(), too_small=findings.too_small(found),
             health=health_values(found, (parameters, covariance), since),
             fit=figures,
-            minimum_detectable=finite_only(smallest), health_bias=unseen_bias(found),
+            minimum_detectable=finite_only(smallest), surely_detectable=findings.surely_detectable(found),
+            health_bias=unseen_bias(found),
             provenance=Provenance(code_version=__version__, params_sha256=options.sha256), reference=reference,
             out_of_time=OutOfTime(limit_s=time_s or 0.0, unfinished=found.unfinished) if found.unfinished else None,
-            recordings=judged(found, days, (parameters, covariance), since, sizes),
+            recordings=judged(found, days, (parameters, covariance), since, said.sizes),
             circumstances=tuple(found_circumstance(item) for item in said.circumstances),
         )  # fmt: skip
         terms = _terms(found, location, twin, said.fit) if location is not None else ()

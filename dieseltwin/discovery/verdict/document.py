@@ -251,9 +251,10 @@ class Discrepancy(FrozenModel):
 
     `out_of_time`: the search was ended before it was through; None where it was. `more_is_missing`: what the effects
     leave is beyond noise and tolerances; something else is left out as well. `too_small`: of a healthy one, the name
-    that explains what differs by more than chance, and is smaller than what is of interest. `health_bias`: what an
-    effect of its `minimum_detectable` size, unseen, would move health by: effect -> health parameter -> its relative
-    change [-].
+    that explains what differs by more than chance, and is smaller than what is of interest. `minimum_detectable`: size
+    at which half of such recordings show an effect. `surely_detectable`: of a healthy one, the size of interest that 19
+    of 20 would have shown. `health_bias`: what an effect of its `minimum_detectable` size, unseen, would move health
+    by: effect -> health parameter -> its relative change [-].
     """
 
     schema_version: Literal[1] = Field(1, alias="schema")
@@ -267,6 +268,7 @@ class Discrepancy(FrozenModel):
     fit: Fit
     minimum_detectable: dict[Name, NotNegative]
     provenance: Provenance
+    surely_detectable: dict[Name, NotNegative] = where_told({})
     health_bias: dict[Name, dict[Name, float]] = where_told({})
     too_small: FoundEffect | None = where_told()
     reference: Reference | None = where_told()

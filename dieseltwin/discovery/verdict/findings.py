@@ -9,6 +9,7 @@ import numpy as np
 from scipy.special import expit, logsumexp
 
 from dieseltwin.discovery.likelihood.fit import Fit
+from dieseltwin.discovery.likelihood.score import surely_found
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.search.variants import Region, Variant, inside_region
 from dieseltwin.discovery.twins.diesel import EngineTwin
@@ -190,6 +191,15 @@ def effects(found: Search, fit: Fit | None = None) -> tuple[FoundEffect, ...]:
     return tuple(sorted(entries, key=lambda entry: -alone.get(entry.name, 0.0)))
 
 
+def surely_detectable(found: Search) -> dict[str, float]:
+    """Name -> size that would have raised an alarm in 19 of 20 such recordings [unit]; none where one was raised."""
+    if found.kind != "healthy":
+        return {}
+    least = {name: found.settings.alarm_size * h.tolerance for name, h in found.twin.hypotheses.items()}
+    sizes = surely_found(found.scored, found.gain_of_alarm, least)
+    return {name: float(size) for name, size in sizes.items() if np.isfinite(size)}
+
+
 def too_small(found: Search) -> FoundEffect | None:
     """The name that explains, beyond chance, what differs where nothing is as large as is of interest."""
     if found.kind != "healthy" or not found.singles:
@@ -227,7 +237,7 @@ def valid_for(found: Search) -> str:
     return ", ".join(parts)
 
 
-def _acting(found: Search) -> Array:
+def _acting(found: Search) -> np.ndarray:
     """(n,) whether the explanation acts at each sample."""
     if region := _region(found):
         return inside_region(found.twin.conditions, region)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
 from dieseltwin.discovery.likelihood.fit import Linearisation
 from dieseltwin.discovery.search.state import Search
-from dieseltwin.discovery.twins.interface import Array, Twin
+from dieseltwin.discovery.twins.interface import Array, OverRecordings, Twin
 from dieseltwin.discovery.twins.several import SeveralTwin, ways_to_differ
 from dieseltwin.discovery.verdict.document import (
     FoundEffect,
@@ -67,11 +68,16 @@ class Sizes:
         return float(self.values @ inverse @ self.values) - push**2 / information
 
 
+def sizes_of_all(at: Linearisation) -> list[Sizes]:
+    """Sizes of every effect of a fit, each freed in every recording; none on one recording."""
+    if not isinstance(at.twin, OverRecordings):
+        return []
+    return [sizes_by_recording(at, index) for index in range(len(at.fit.candidate.names))]
+
+
 def sizes_by_recording(at: Linearisation, index: int) -> Sizes:
     """Sizes of one effect of a fit, freed in every recording: one linear step from the fit, in its metric."""
-    twin = at.twin
-    if not isinstance(twin, SeveralTwin):
-        raise TypeError("sizes by recording of one recording")
+    twin = cast(SeveralTwin, at.twin)  # or one with fixed signals that stands for it
     name, magnitude = at.fit.candidate.names[index], float(at.fit.magnitudes[index])
     lane, schedule = at.fit.lanes(), at.fit.candidate.schedules.get(name, np.ones(twin.time_s.size))
     more = {**at.fit.candidate.schedules, name: schedule + _DIFFERENCE}
@@ -107,25 +113,24 @@ def profile_words(profile: str | None, days: Sequence[Dated]) -> str:
     return f"has grown to this size since {days[k].day}"
 
 
-def told_apart(found: Search, days: Sequence[Dated]) -> tuple[list[Sizes], str]:
-    """Sizes of every effect of the explanation in each recording, and in words how they differ; what can't be told from
-    it is said."""
+def told_apart(found: Search, days: Sequence[Dated]) -> str:
+    """How sizes of the explanation differ between the recordings, in words; what can't be told from it is said."""
     at, twin = found.best, found.twin
     if at is None or found.kind == "law" or not isinstance(twin, SeveralTwin):
-        return [], ""
-    sizes = [sizes_by_recording(at, index) for index in range(len(at.fit.candidate.names))]
+        return ""
     chosen = found.variant.profile if found.kind == "variant" and found.variant is not None else None
     if found.kind == "variant" and chosen is None:
-        return sizes, ""
+        return ""
+    sizes = sizes_by_recording(at, 0)
     profiles: dict[str | None, Array] = {None: np.ones(len(twin.parts))}
     profiles.update(ways_to_differ(twin.occasions))
-    costs = {name: sizes[0].cost(factors) for name, factors in profiles.items()}
+    costs = {name: sizes.cost(factors) for name, factors in profiles.items()}
     others = [name for name, cost in costs.items() if name != chosen and cost < costs[chosen] + _ALIKE]
     others.sort(key=lambda name: costs[name])
     words = profile_words(chosen, days)
     if others:
         words += "; not to be told from: it " + ", or ".join(profile_words(name, days) for name in others[:3])
-    return sizes, words
+    return words
 
 
 def onset_of(location: Location, found: Search, days: Sequence[Dated]) -> Location:
@@ -162,7 +167,7 @@ def judged(
     Args:
         found: the search over all; days: the recordings, in time order.
         after: free parameters of the explanation and their covariance; since: what became of them since the reference.
-        sizes: of every effect that was found.
+        sizes: of every effect that was found, by the fit that gives the verdict's own size.
     """
     twin = found.twin
     if not isinstance(twin, SeveralTwin):

@@ -84,14 +84,15 @@ def _reason(
     if found.standing:
         return f"log-likelihood gain {half:.1f} beside the valve that stands still"
     if found.kind == "healthy":
-        threshold = 0.5 * max(found.settings.alarm_gain, found.chance.threshold(found.settings.alarm_level))
+        threshold = 0.5 * found.gain_of_alarm
         if half < threshold:
             return f"log-likelihood gain {half:.1f}, below the alarm at {threshold:.1f}"
         return f"gain {half:.1f}, but only {size:.2g} times its size of interest"
     if found.kind == "law":
         best = 0.5 * found.everything_unnamed()[0].gain
         return f"log-likelihood gain {half:.1f}, against {best:.1f} by a term without a name"
-    return f"log-likelihood gain {half:.1f}, {0.5 * (top - gain):.1f} less than the best {'one' if found.kind == 'variant' else 'single effect'}"
+    best_kind = "one" if found.kind == "variant" else "single effect"
+    return f"log-likelihood gain {half:.1f}, {0.5 * (top - gain):.1f} less than the best {best_kind}"
 
 
 def split_by(found: Search, name: str, others: Sequence[str]) -> str:

@@ -30,6 +30,7 @@ from dieseltwin.discovery.search.standing import scattered
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.interface import Array, Twin
 from dieseltwin.discovery.verdict.explained import disagreement_of_circumstances
+from dieseltwin.discovery.verdict.over_recordings import Sizes, sizes_of_all
 
 _ROUNDS = 3
 _PLACES = (2, 3)  # at which maps and weather are taken linearly, at least and at most
@@ -44,10 +45,12 @@ class Told:
     Attributes:
         fit: parameters and sizes, with their covariance.
         circumstances: of the recording, where a column doesn't give them.
+        sizes: of every effect in each of several recordings, freed beside each other in the same fit.
     """
 
     fit: Fit
     circumstances: tuple[Estimate, ...]
+    sizes: tuple[Sizes, ...] = ()
 
 
 def told(found: Search, at: Linearisation, after: Array) -> Told:
@@ -64,11 +67,12 @@ def told(found: Search, at: Linearisation, after: Array) -> Told:
         places = beside_fine_maps(found, found.null, found.twin.measured - after)
         return Told(_law_beside_fine_maps(found, at), _mean([place.circumstances for place in places], apart))
     # along a valley of positions and health a further fit would go anywhere
-    places = [Told(at.fit, estimates(at))] if found.stood_always() else beside_fine_maps(found, at)
+    places = [_told_at(at, None)] if found.stood_always() else beside_fine_maps(found, at)
     fit = at.fit if places[0].fit is at.fit else _together(places, found.widening)
+    sizes = tuple(_sizes_together(each, found.widening) for each in zip(*(p.sizes for p in places), strict=True))
     if found.standing:
         fit = _within_reach(fit, found, scattered(found))
-    return Told(fit, _mean([place.circumstances for place in places], apart, found.widening))
+    return Told(fit, _mean([place.circumstances for place in places], apart, found.widening), sizes)
 
 
 def _within_reach(fit: Fit, found: Search, more: float) -> Fit:
@@ -92,7 +96,12 @@ def beside_fine_maps(found: Search, at: Linearisation, residual: Array | None = 
         at: an explanation. It comes back alone where its errors are no smooth ones of maps, or too many.
         residual: (n, C) that circumstances are read from; None: what each fit leaves.
     """
-    return _places(found, at, residual) or [Told(at.fit, estimates(at, residual))]
+    return _places(found, at, residual) or [_told_at(at, residual)]
+
+
+def _told_at(at: Linearisation, residual: Array | None) -> Told:
+    """What one fit says; `residual` as of `beside_fine_maps`."""
+    return Told(at.fit, estimates(at, residual), tuple(sizes_of_all(at)))
 
 
 def _places(found: Search, at: Linearisation, residual: Array | None) -> list[Told]:
@@ -111,7 +120,7 @@ def _places(found: Search, at: Linearisation, residual: Array | None) -> list[To
             fine = fit_fully(there, at.whitening, fine.fit, responses, rounds=_ROUNDS)
             if found.standing and telling_alone(fine).any():
                 break  # at a kink: what is said there is linear and wrong
-            places.append(Told(fine.fit, estimates(fine, residual)))
+            places.append(_told_at(fine, residual))
     except np.linalg.LinAlgError:
         pass  # the machine runs away with some tolerance there: what was told until then counts
     return places
@@ -175,6 +184,13 @@ def _together(places: Sequence[Told], widening: float) -> Fit:
     spread = np.atleast_2d(np.cov(values.T)) if len(places) > 1 else 0.0
     covariance = widening * cast(Array, last.covariance) + spread
     return replace(last, parameters=mean[:count], magnitudes=mean[count:], covariance=covariance)
+
+
+def _sizes_together(said: Sequence[Sizes], widening: float) -> Sizes:
+    """Sizes of several fits as one, as `_together`."""
+    values = np.stack([item.values for item in said])
+    spread = np.atleast_2d(np.cov(values.T)) if len(said) > 1 else 0.0
+    return Sizes(values.mean(axis=0), widening * said[-1].covariance + spread)
 
 
 def _mean(said: Sequence[Sequence[Estimate]], apart: Array, widening: float = 1.0) -> tuple[Estimate, ...]:

@@ -7,8 +7,8 @@ import pytest
 from dieseltwin.discovery.search.preparation import prepare
 from dieseltwin.discovery.verdict.document import Discrepancy
 from dieseltwin.discovery.verdict.unseen import health_bias, most_first
-from dieseltwin.report.discovery_words import bias_words, visible_table
 from dieseltwin.report.findings import visible
+from dieseltwin.report.visible_words import bias_words, visible_table
 from tests.discovery.toy import SETTINGS, Toy
 from tests.report import synthetic_discovery as synthetic
 
