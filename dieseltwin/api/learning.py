@@ -253,7 +253,7 @@ def summary(learned: LearnedEngine) -> list[str]:
     std = np.sqrt(np.diag(health_covariance(learned)))
     lines = [f"learned from {learned.minutes:.1f} minutes of {counted(len(learned.recordings), 'recording')}"]
     lines += [
-        f"  {name:<10}{_in_its_unit(name, value):>17} +- {100 * s / value:.2g} %, {100 * (value / then - 1):+.1f} % "
+        f"  {name:<10}{_in_its_unit(name, value):>17} ± {100 * s / value:.2g} %, {100 * (value / then - 1):+.1f} % "
         "from the base"
         for name, value, s, then in zip(HEALTH, belief.health, std, learned.base.health(), strict=True)
     ]

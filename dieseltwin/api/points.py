@@ -209,7 +209,7 @@ class PointsDiscovered(Discovered):
 
     def lines(self) -> list[str]:
         tried = [
-            f"round {k}: {name:32s} gain {item.found.gain(fit):8.1f}  {fit.magnitudes[0]:.4g} "
+            f"round {k}: {points_pages.name_words(name):35s} gain {item.found.gain(fit):8.1f}  {fit.magnitudes[0]:.4g} "
             f"{item.found.twin.hypotheses[name].unit.strip('-')}"
             f"{'  taken' if item.taken and name in item.names else ''}".rstrip()
             for k, item in enumerate(self.found.rounds, 1) for fit in item.found.singles[:SHOWN]

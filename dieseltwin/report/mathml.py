@@ -19,14 +19,14 @@ _GREEK = {
 _UNITS = ("mg/cycle", "1/min", "rad/s", "kg/s", "N m s", "N m", "W/K", "m2", "Pa", "kPa", "K", "s", "W", "%", "1/s")
 _UNIT_WORDS = {"m2": "m²", "1/s": "s⁻¹", "1/min": "min⁻¹"}
 _NUMBER = r"\d+(?:\.\d+)?(?:[eE][+-]?\d+)?"
-_QUANTITY = rf"{_NUMBER}(?:\s+\+-\s+{_NUMBER})?"
+_QUANTITY = rf"{_NUMBER}(?:\s+±\s+{_NUMBER})?"
 _TOKEN = re.compile(
     rf"\s*(?:(?P<quantity>{_QUANTITY})(?:\s*(?P<unit>{'|'.join(map(re.escape, _UNITS))})(?![\w^]))?"
-    r"|(?P<name>[A-Za-z]\w*)|(?P<sign>\+-|[-+*/^=<>|,()\[\]]))"
+    r"|(?P<name>[A-Za-z]\w*)|(?P<sign>[-+±*/^=<>|,()\[\]]))"
 )
 _PREFIX = re.compile(r"^(?P<words>relative change of|added to|reading of)\s+(?P<name>\w+):?\s*")
 _NOTE = re.compile(r",\s+(?=[a-z]+ [a-z]+)|:\s+|\s+(?=(?:for|where)\s)")  # ", of the reading alone"
-_SIGNS = {"-": "−", "*": "·", "<": "&lt;", ">": "&gt;", "+-": "±"}
+_SIGNS = {"-": "−", "*": "·", "<": "&lt;", ">": "&gt;"}
 _WORD = 4  # letters from which the first part of a name is a word and no symbol
 _CLOSING = {"(": ")", "[": "]", "|": "|"}
 _FORMULA = re.compile(r"[=/^+*(|]|\d")
@@ -51,6 +51,7 @@ def laws_markup(text: str) -> str:
 
 def law_markup(text: str) -> str:
     """A law as HTML: its formula in MathML, words around it as text."""
+    text = text.replace("+-", "±")  # as older documents have it
     prefix = _PREFIX.match(text)
     words, rest = "", text
     if prefix is not None:
@@ -122,7 +123,7 @@ class _Reader:
     def _sum(self) -> str:
         text = _operator(self._next().text) if self._sees("-", "+") else ""
         text += self._product()
-        while self._sees("+", "-", "+-"):
+        while self._sees("+", "-", "±"):
             text += _operator(self._next().text) + self._product()
         return text
 
@@ -199,7 +200,7 @@ def _operator(sign: str) -> str:
 
 
 def _quantity(token: _Token) -> str:
-    value, _, std = (part.strip() for part in token.text.partition("+-"))
+    value, _, std = (part.strip() for part in token.text.partition("±"))
     text = _number(value)
     if std:
         text = f'<mo fence="true">(</mo>{text}<mo>±</mo>{_number(std)}<mo fence="true">)</mo>'

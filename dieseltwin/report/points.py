@@ -27,6 +27,7 @@ from dieseltwin.report.interactive import Line, Panel, Series, over, still
 from dieseltwin.report.law_cards import law_cards
 from dieseltwin.report.page import Page, Section, Table
 from dieseltwin.report.style import AFTER, BEFORE, ReportFigure, styled
+from dieseltwin.sensors import SENSORS
 
 IMPLIED = (("p_es_pa", "behind the turbine p_es", "kPa", 1e-3), ("p_bc_pa", "before the compressor p_bc", "kPa", 1e-3),
            ("t_im_k", "intake manifold T_im", "K", 1.0), ("t_c_k", "behind the compressor T_c", "K", 1.0))  # fmt: skip
@@ -68,6 +69,15 @@ def sentence(result: PointsDiscovery) -> str:
     if result.more_is_missing:
         text += " More is missing than has a name."
     return text
+
+
+def name_words(name: str) -> str:
+    """A name as printed: that of a reading's error, "t_em_k:offset", in words; others as they are."""
+    column, _, kind = name.partition(":")
+    sensor = next((sensor for sensor in SENSORS if sensor.column == column), None)
+    if sensor is None or kind not in ("gain", "offset"):
+        return name
+    return f"{'a gain error' if kind == 'gain' else 'an offset'} of the {sensor.name} reading"
 
 
 def _relations(result: PointsDiscovery) -> tuple[Relations, Relations]:
@@ -190,7 +200,7 @@ def points_page(result: PointsDiscovery, said: Discrepancy, words: str, implied:
     )
     rounds = Table(
         ("round", "name", "gain in 2 log-likelihood", "taken"),
-        [(str(k), fit.candidate.names[0], f"{item.found.gain(fit):.1f}",
+        [(str(k), name_words(fit.candidate.names[0]), f"{item.found.gain(fit):.1f}",
           "yes" if item.taken and fit.candidate.names[0] in item.names else "no")
          for k, item in enumerate(result.rounds, 1) for fit in item.found.singles[:6]], words=(0, 1, 3),
     )

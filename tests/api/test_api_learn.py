@@ -31,7 +31,7 @@ def test_an_engine_is_learned_saved_and_taken(tmp_path: Path) -> None:
     table = found.table()
     assert len(table) > 0 and (table["known_to_pct"] < 0.5 * table["believed_pct"]).all()
     assert found.sentence.startswith("Learned from 2.5 minutes") and "<table" in found._repr_html_()
-    assert any(line.startswith("  A_egrmax") and " mm² +-" in line for line in found.lines())
+    assert any(line.startswith("  A_egrmax") and " mm² ±" in line for line in found.lines())
     assert len(found.plot().axes) == 1
     file = found.save(tmp_path / "mine.yaml")
     assert dt.engine(file) == dt.engine(found) == found.engine

@@ -47,7 +47,7 @@ def test_an_amount_is_asked_for_where_it_is_no_share() -> None:
     twin = EngineTwin(_recorded(0.0), we2011.PARAMETERS, MEASURED)
     (feature,) = _amounts(twin)
     assert feature.form is not None and feature.site == "fuel_injection"
-    assert law_text(twin, feature.form, AMOUNT, std=0.1) == "added to u_delta: -4 +- 0.1 mg/cycle"
+    assert law_text(twin, feature.form, AMOUNT, std=0.1) == "added to u_delta: -4 ± 0.1 mg/cycle"
     fuel = np.array([0.0, 2.0, 100.0])
     np.testing.assert_allclose(feature.form.value({"u_delta": fuel}) * fuel, [0.0, 1.0, 1.0])
     cut = _recorded(0.0)

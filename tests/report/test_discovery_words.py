@@ -11,6 +11,7 @@ from dieseltwin.engine.effects import EFFECTS, SITES
 from dieseltwin.notes import Note
 from dieseltwin.report.circumstance_words import circumstance_words, shown_day
 from dieseltwin.report.discovery_words import magnitude_words, sentence, site_words
+from dieseltwin.report.points import name_words
 
 OFFSET = {
     "name": "p_im_offset", "probability": 0.99, "equivalent_names": [], "law": "reading + b", "magnitude": -1250.0,
@@ -21,8 +22,8 @@ OFFSET = {
 def test_named_with_equivalents() -> None:
     assert sentence(synthetic.document()) == (
         "The twin leaves out, in the intake mass balance (the likeliest place), a boost leak of 41.0 ± 2.0 mm², from "
-        "the start; the fit of the health parameters alone had put h_tot 47 % too high, eta_sc 20 % too low and A_vgtmax 11 % too "
-        "low; on the held-out part the negative log-likelihood falls from 2.81 to 2.50 per sample; boost_leak cannot "
+        "the start; the fit of the health parameters alone had put h_tot 47 % too high, eta_sc 20 % too low and "
+        "A_vgtmax 11 % too low; on the held-out part the negative log-likelihood falls from 2.81 to 2.50 per sample; boost_leak cannot "
         "be told apart from compressor_efficiency_loss, which a w_c_kg_s sensor would settle."
     )
 
@@ -241,3 +242,9 @@ def test_health_that_is_no_longer_told_is_said_to_be() -> None:
 
 def test_a_recording_without_a_date_keeps_its_whole_name() -> None:
     assert [shown_day(name) for name in ("recording 12", "2026-03-14T08:00:00")] == ["recording 12", "2026-03-14"]
+
+
+def test_an_error_of_a_reading_at_settled_points_has_words() -> None:
+    assert name_words("w_egr_kg_s:offset") == "an offset of the W_egr reading"
+    assert name_words("t_em_k:gain") == "a gain error of the T_em reading"
+    assert name_words("back_pressure") == "back_pressure"

@@ -38,13 +38,13 @@ def test_quotients_roots_and_symbols() -> None:
     ("law", "letters"),
     [
         ("relative change of f_egr: -0.08792 +- 0.0027 (t/300 s)", "relativechangeoffegr:−(0.08792±0.0027)(t300s)"),
-        ("relative change of eta_vol: -0.04 +- 0.003 (n_e/1e+03 1/min)^-1",
+        ("relative change of eta_vol: -0.04 ± 0.003 (n_e/1e+03 1/min)^-1",
          "relativechangeofηvol:−(0.04±0.003)(ne103min⁻¹)−1"),
-        ("reading of p_em_pa + 3633 +- 6.7e+02 Pa", "readingofpem:+(3633±6.7·102)Pa"),
+        ("reading of p_em_pa + 3633 ± 6.7e+02 Pa", "readingofpem:+(3633±6.7·102)Pa"),
         ("tau dT/dt = T_em - T, of the reading alone", "τdTdt=Tem−Tofthereadingalone"),
         ("added to P_c: 1.2 W sign(p_im - p_em) |(p_im - p_em)/(2e+05 Pa)|^0.5",
          "addedtoPc:1.2Wsign(pim−pem)|pim−pem2·105Pa|0.5"),
-        ("u_egr becomes play[u_egr, 10.2 +- 0.18 %]", "uegrbecomesplay[uegr,(10.2±0.18)%]"),
+        ("u_egr becomes play[u_egr, 10.2 ± 0.18 %]", "uegrbecomesplay[uegr,(10.2±0.18)%]"),
     ],
 )  # fmt: skip
 def test_found_laws_keep_their_numbers_and_units(law: str, letters: str) -> None:

@@ -179,9 +179,9 @@ class Factor:
         return played(x, shape)
 
     def operated(self, shape: float, std: float | None = None) -> str:
-        """What an operator makes of its variable, in words: "play[u_egr, 5.3 +- 0.1 %]"."""
+        """What an operator makes of its variable, in words: "play[u_egr, 5.3 ± 0.1 %]"."""
         unit = self.units[0] if self.kind == "play" else "s"
-        spread = "" if std is None else f" +- {std:.2g}"
+        spread = "" if std is None else f" ± {std:.2g}"
         return f"{self.kind.replace('_', ' ')}[{self.variables[0]}, {shape:.3g}{spread} {unit}]"
 
     def text(self, shape: float | None = None) -> str:

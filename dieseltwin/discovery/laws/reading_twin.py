@@ -45,7 +45,7 @@ class ReadingFault:
 
     def text(self, unit: str = "") -> str:
         """For people."""
-        spread = "" if self.std is None else f" +- {self.std:.2g}"
+        spread = "" if self.std is None else f" ± {self.std:.2g}"
         if self.kind == "gain":
             return f"reading of {self.channel} (1 + g), g = {self.size:.4g}{spread}"
         if self.kind == "offset":

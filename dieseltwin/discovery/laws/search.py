@@ -244,7 +244,7 @@ def law_text(twin: Twin, form: Form, coefficient: float, shape: float | None = N
     if form.fixed is not None:
         factor = form.factors[0]
         return f"{point.name} becomes {factor.operated(factor.shape if shape is None else shape, std)}"
-    spread = "" if std is None else f" +- {std:.2g}"
+    spread = "" if std is None else f" ± {std:.2g}"
     if form.amount:
         return f"added to {point.name}: {coefficient:.4g}{spread} {form.factors[0].units[0]}"
     unit = "" if point.unit == "-" else f" {point.unit}"

@@ -58,4 +58,4 @@ def test_a_law_is_reported_with_the_width_that_was_fitted(twin: EngineTwin) -> N
     term = _operator_term(found.form)
     assert term is not None and term.magnitude == 5.31
     assert not found.free_shape
-    assert law_text(twin, found.form, 1.0, std=0.12) == "u_egr becomes play[u_egr, 5.31 +- 0.12 %]"
+    assert law_text(twin, found.form, 1.0, std=0.12) == "u_egr becomes play[u_egr, 5.31 ± 0.12 %]"

@@ -34,4 +34,4 @@ def test_a_lag_of_the_gas_without_its_name_is_no_lag_of_the_fuel() -> None:
     options = Options(withhold=("exhaust_thermal_inertia",))
     (effect,) = discover(recording(drive(180.0, slow)), we2011.PARAMETERS, options).document.effects
     assert effect.law is not None and effect.law.startswith("T_em becomes lag[T_em, ")
-    assert float(effect.law.split(",")[1].split("+-")[0]) == pytest.approx(1.0, abs=0.1)
+    assert float(effect.law.split(",")[1].split("±")[0]) == pytest.approx(1.0, abs=0.1)
