@@ -23,8 +23,8 @@ def test_named_with_equivalents() -> None:
     assert sentence(synthetic.document()) == (
         "The twin leaves out, in the intake mass balance (the likeliest place), a boost leak of 41.0 ± 2.0 mm², from "
         "the start; the fit of the health parameters alone had put h_tot 47 % too high, eta_sc 20 % too low and "
-        "A_vgtmax 11 % too low; on the held-out part the negative log-likelihood falls from 2.81 to 2.50 per sample; boost_leak cannot "
-        "be told apart from compressor_efficiency_loss, which a w_c_kg_s sensor would settle."
+        "A_vgtmax 11 % too low; on the held-out part the negative log-likelihood falls from 2.81 to 2.50 per sample; "
+        "boost_leak cannot be told apart from compressor_efficiency_loss, which a w_c_kg_s sensor would settle."
     )
 
 
