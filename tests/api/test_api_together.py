@@ -51,7 +51,7 @@ def test_a_leak_that_began_is_named_with_its_date(year: list[Path], tmp_path: Pa
     for size, truth in zip(sizes, (0.0, 0.0, 25e-6), strict=True):
         assert abs(size["value"] - truth) < 3.5 * size["std"] < 15e-6
     (effect,) = document["effects"]  # the size of the verdict, and that of the last recording where it is freed
-    assert abs(sizes[-1]["value"] - effect["magnitude"]) < effect["std"]
+    assert abs(sizes[-1]["value"] - effect["magnitude"]) < 2.0 * effect["std"]
     assert sizes[-1]["std"] == pytest.approx(effect["std"], rel=0.4)
     worn = [row["health"]["A_egrmax"]["value"] / we2011.PARAMETERS.A_egrmax for row in rows]
     assert worn == pytest.approx([1.0, 0.97, 0.94], abs=0.025)

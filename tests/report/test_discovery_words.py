@@ -86,8 +86,10 @@ def test_a_drift_of_the_injectors_is_said_to_be_hardly_separable_from_eta_sc() -
         sentence(document))  # fmt: skip
     assert "hardly separable" not in sentence(synthetic.document())
     (note,) = circumstance_notes(document)
-    assert note == ("in this recording injector_drift looks the same as a fuel signal whose scale, or a fuel whose "
-                    "heating value, is off by as much")  # fmt: skip
+    assert note.removeprefix("note: ") == (
+        "in this recording injector_drift looks the same as a fuel signal whose scale, or a fuel whose heating value, "
+        "is off by as much"
+    )
 
 
 def test_a_law_that_leaves_much_is_not_sure_of_its_site() -> None:
