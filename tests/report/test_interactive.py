@@ -70,7 +70,7 @@ def test_a_law_is_told_in_words_with_its_size_and_how_sure_it_is() -> None:
     assert card.title == "A boost leak of 41.0 ± 2.0 mm²"
     assert card.meaning.startswith("A hole between compressor and cylinders")
     assert "<math" in card.formula and "41.0 ± 2.0 mm²" in card.size
-    assert card.sure.startswith("Very likely (96.0 %)") and "compressor_efficiency_loss" in card.sure
+    assert card.sure.startswith("The likeliest name. ") and "compressor_efficiency_loss" in card.sure
     assert ("intake manifold pressure [Pa]") in dict((w, s) for s, w in card.symbols)
 
 
