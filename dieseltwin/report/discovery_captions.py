@@ -6,10 +6,10 @@ from dieseltwin.report.captions import line
 
 MINIMUM = line("""
     The smallest size of each effect that this recording could show (half of such recordings do), in multiples of its
-    tolerance (the smallest size of interest); known before anything is fitted, from the inputs, the noise and the tolerances of the maps. Left of the
-    dashed line the recording is sharper than needed; right of it an effect of interest can stay unseen. An effect that
-    is not reported may still be there below its mark; in brackets: the health parameter that it then moves most, and by
-    how much. Longer driving moves most marks to the left.
+    tolerance (the smallest size of interest); known before anything is fitted, from the inputs, the noise and the
+    tolerances of the maps. Left of the dashed line the recording is sharper than needed; right of it an effect of
+    interest can stay unseen. An effect that is not reported may still be there below its mark; in brackets: the health
+    parameter that it then moves most, and by how much. Longer driving moves most marks to the left.
 """)
 
 EVIDENCE_TIME = line("""

@@ -113,10 +113,9 @@ def _typeset(laws: Sequence[str]) -> Markup:
 
 
 def _sure(effect: FoundEffect, judged: str) -> str:
-    words = next((words for least, words in SURE if effect.probability >= least), UNSURE)
-    text = f"{words.capitalize()} ({quantities.probability(effect.probability)})."
-    if effect.equivalent_names:  # a probability beside them would read as if it were settled
-        text = f"The likeliest name. {judged} can't tell it from {' or '.join(effect.equivalent_names)}."
-        if effect.split_by:
-            text += f" {effect.split_by.capitalize()} would settle it."
-    return text
+    if not effect.equivalent_names:
+        words = next((words for least, words in SURE if effect.probability >= least), UNSURE)
+        return f"{words.capitalize()} ({quantities.probability(effect.probability)})."
+    # a probability beside names that are as good would read as if it were settled
+    text = f"The likeliest name. {judged} can't tell it from {' or '.join(effect.equivalent_names)}."
+    return f"{text} {effect.split_by.capitalize()} would settle it." if effect.split_by else text
