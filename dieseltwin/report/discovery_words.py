@@ -58,6 +58,7 @@ _UNITS: Mapping[str, tuple[str, float]] = {
 _REGION_RANGES: Mapping[str, float] = {"n_e_rpm": 1500.0, "u_delta_mg": 249.0, "u_egr_pct": 100.0, "u_vgt_pct": 80.0}
 _NARROW = 0.35
 _SHARE = 0.5  # of the evidence from which a region is worth a word
+_TELLING = 3.0  # log-likelihood that the held-out part must gain to tell anything: odds of twenty
 _LEAST_SHIFT = 0.01  # relative shift of a health parameter that is worth a word
 _LIKELY = 0.1  # probability from which another site is worth a word
 
@@ -189,7 +190,10 @@ def _held_out_words(document: Discrepancy) -> str:
     before, after = document.fit.held_out_nll_before, document.fit.held_out_nll_after
     if before is None or after is None:
         return "there was nothing to hold out, so no gain on unseen driving is claimed"
-    step = before - after
+    step, gain = before - after, document.fit.held_out_gain
+    if gain is not None and 0.0 < gain < _TELLING:
+        return (f"the held-out part hardly decides: its log-likelihood rises by {gain:.2g}, which chance does as well "
+                f"({_TELLING:g} and more tell)")  # fmt: skip
     first, second = _number(before, step), _number(after, step)
     if step > 0:
         return f"on the held-out part the negative log-likelihood falls from {first} to {second} per sample"

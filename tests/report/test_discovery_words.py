@@ -135,6 +135,10 @@ def test_small_shifts_and_no_gain_are_said() -> None:
     text = sentence(synthetic.document(health=health, fit=fit))
     assert "the health parameters stay where the fit without it had them" in text
     assert "does not fall (2.500000 before, 2.500040 after)" in text or "does not fall (2.50000" in text
+    fit = {**fit, "held_out_nll_after": 2.498, "held_out_rows": 900}
+    assert "the held-out part hardly decides: its log-likelihood rises by 1.8" in sentence(synthetic.document(fit=fit))
+    fit = {**fit, "held_out_rows": 9000}
+    assert "falls from 2.5000 to 2.4980 per sample" in sentence(synthetic.document(fit=fit))
     fit = {**fit, "held_out_nll_after": None}
     assert "no gain on unseen driving is claimed" in sentence(synthetic.document(fit=fit))
 

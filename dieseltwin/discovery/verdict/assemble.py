@@ -215,6 +215,7 @@ def fit_figures(found: Search, at: Linearisation, allowed: Array | None) -> FitF
         rmse_before=rmse(null.simulated), rmse_after=rmse(after),
         share_explained=found.share_explained(),
         chi2_per_sample_beyond=chi2(after if allowed is None else after + allowed),
+        held_out_rows=int(_held_rows(found).sum()),
     )  # fmt: skip
 
 

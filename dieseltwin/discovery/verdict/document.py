@@ -178,10 +178,10 @@ class JudgedRecording(FrozenModel):
 
 
 class Fit(FrozenModel):
-    """How well readings are met before and after: negative log-likelihood per sample on the held-out part, chi-square
-    per sample (`beyond`: of what is left where maps, sensors and weather are as far off as they most likely are), root
-    mean square of the residuals per channel [unit of the column], and the share of the misfit beyond noise and
-    tolerances that the explanation takes away [-]. Null where not known."""
+    """How well readings are met before and after: negative log-likelihood per row on the held-out part of so many rows,
+    chi-square per reading (`beyond`: of what is left where maps, sensors and weather are as far off as they most likely
+    are), root mean square of the residuals per channel [unit of the column], and the share of the misfit beyond noise
+    and tolerances that the explanation takes away [-]. Null where not known."""
 
     held_out_nll_before: float | None
     held_out_nll_after: float | None
@@ -191,6 +191,14 @@ class Fit(FrozenModel):
     rmse_after: dict[Name, NotNegative]
     share_explained: Probability | None = None
     chi2_per_sample_beyond: NotNegative | None = None
+    held_out_rows: int | None = where_told()
+
+    @property
+    def held_out_gain(self) -> float | None:
+        """Log-likelihood of the whole held-out part that is gained; None where that isn't known."""
+        if self.held_out_rows is None or self.held_out_nll_before is None or self.held_out_nll_after is None:
+            return None
+        return self.held_out_rows * (self.held_out_nll_before - self.held_out_nll_after)
 
     @property
     def chi2_left(self) -> float | None:
