@@ -100,8 +100,9 @@ def _effects(result: PointsDiscovery) -> tuple[FoundEffect, ...]:
             hypothesis = item.found.twin.hypotheses[name]
             if name not in EFFECTS:
                 column, _, fault = name.partition(":")
-                laws.append(f"{column}: reading (1 {magnitude:+.4g})" if fault == "gain"
-                            else f"{column}: reading {magnitude:+.4g} {hypothesis.unit}")
+                size = f"{magnitude:+.4g} +- {std:.2g}"
+                laws.append(f"{column}: reading (1 {size})" if fault == "gain"
+                            else f"{column}: reading {size} {hypothesis.unit}")
                 continue
             law = hypothesis.law
             own = next(t.shape for t in result.terms() if isinstance(t, Term) and t.effect == name)
