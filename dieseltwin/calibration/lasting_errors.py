@@ -1,7 +1,8 @@
 """Errors of sensors as free numbers of the balances, and errors of maps where a reference is there to tell them.
 
 Without one, errors of maps can't be told from what is missing, and stay tolerances of the search. They are sums of the
-functions that an engine file holds (`engine.map_corrections`), so that the repaired machine has them too.
+functions that an engine file holds (`engine.map_corrections`), so that the repaired machine has them too. The exhaust
+temperature has such an error as well, over engine speed and injected quantity; it is no map, and no file holds it.
 """
 
 from __future__ import annotations
@@ -13,9 +14,12 @@ from numpy.typing import NDArray
 
 from dieseltwin.calibration.coefficients import Coefficient
 from dieseltwin.calibration.steady_model import MAP_MODE, SENSOR_ERROR, SteadyModel, law_variables
-from dieseltwin.engine.map_corrections import CORRECTED_POINTS, basis, basis_along
+from dieseltwin.engine.map_corrections import CORRECTED_POINTS, basis, basis_along, smooth_functions
 from dieseltwin.recordings.steady_points import STATES, SteadyPoints
 from dieseltwin.settings.search import PointSettings
+
+EXHAUST = "T_em"
+"""Insertion point of the exhaust temperature, whose formula errs smoothly over engine speed and injected quantity."""
 
 _KEPT = 0.95  # of the variance; the rest is below what differs from point to point
 _TOLD = 1e-4  # of a correction that is not worth a larger coefficient [-]
@@ -33,8 +37,8 @@ SUBMODEL_OF: Mapping[str, str] = {
 def with_lasting_errors(
     points: SteadyPoints, model: SteadyModel, values: Mapping[str, float], believed: PointSettings
 ) -> tuple[SteadyPoints, list[Coefficient]]:
-    """The points with a column for every leading mode of every map's error; coefficients of the modes, and gain and
-    offset of every sensor.
+    """The points with a column for every leading mode of every map's error and the exhaust temperature's; coefficients
+    of the modes, and gain and offset of every sensor.
 
     Args:
         points: of the reference and judged.
@@ -42,12 +46,15 @@ def with_lasting_errors(
         believed: how large the errors may be.
     """
     along = basis_along(_variables(points, model, values))
+    errors = {name: believed.map_beside_reference * along[_smooth(m)] for m, name in enumerate(CORRECTED_POINTS)}
+    believed_of_heat = believed.submodels.smooth_error(SUBMODEL_OF[EXHAUST])
+    errors[EXHAUST] = believed_of_heat * _over_inputs(points, model)
     columns: dict[str, NDArray[np.float64]] = {}
     found = []
-    for m, name in enumerate(CORRECTED_POINTS):
-        for k, mode in enumerate(_leading(along[_smooth(m)])):
+    for name, functions in errors.items():
+        for k, mode in enumerate(_leading(functions)):
             label = f"{MAP_MODE}{name}:{k}"
-            columns[label] = believed.map_beside_reference * mode
+            columns[label] = mode
             found.append(Coefficient(label, SUBMODEL_OF[name], 0.0, 1.0, -_MOST, _MOST, "-", "smooth error of the map"))
     return points.with_columns(**columns), [*found, *sensor_errors(points, believed)]
 
@@ -92,6 +99,12 @@ def map_corrections(
 def _smooth(m: int) -> NDArray[np.bool_]:
     """(K,) which functions are the smooth ones of a map: settled points are too few for further ones."""
     return np.asarray((basis().maps == m) & basis().usual)
+
+
+def _over_inputs(points: SteadyPoints, model: SteadyModel) -> NDArray[np.float64]:
+    """Smooth functions (K, n) of engine speed and injected quantity, over the ranges of the engine."""
+    ranges = {"n_e_rpm": model.engine.n_e_range, "u_delta_mg": model.engine.u_delta_range}
+    return smooth_functions(*((points[column] - low) / (high - low) for column, (low, high) in ranges.items()))
 
 
 def _variables(points: SteadyPoints, model: SteadyModel, values: Mapping[str, float]) -> dict[str, NDArray[np.float64]]:

@@ -293,3 +293,14 @@ def basis_along(variables: Mapping[str, np.ndarray], which: np.ndarray | None = 
         at = grids == m
         out[at] = look_up(tables[at], m, *arguments_of(m, variables))
     return out
+
+
+def smooth_functions(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """The usual functions of a map of two arguments at points (n,), for what is none of the six maps, (F, n) [-].
+
+    Args:
+        first, second: the arguments, each from 0 to 1 over its range.
+    """
+    functions = basis()
+    own = functions.tables[functions.usual & (functions.grids == CORRECTED_POINTS.index("eta_vol"))]
+    return np.asarray(_bilinear(own, first, second, np.zeros(2), np.full(2, NODES - 1.0)))

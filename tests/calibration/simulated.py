@@ -9,7 +9,7 @@ import numpy as np
 
 from dieseltwin.arrays import Array
 from dieseltwin.calibration.coefficients import with_scalars
-from dieseltwin.calibration.steady_model import ROWS, SteadyModel
+from dieseltwin.calibration.steady_model import MAP_MODE, ROWS, SteadyModel
 from dieseltwin.engine import we2011
 from dieseltwin.engine.parameters import EngineParameters
 from dieseltwin.recordings.steady_points import STATES, SteadyPoints, points
@@ -25,6 +25,7 @@ TRUTH = with_scalars(GEOMETRY, {
 NEWTON_STEPS = 30
 LARGEST_STEP = 0.1  # of ln x
 DIFFERENCE = 1e-5
+WAVE_RPM = 260.0  # of engine speed, for a radian of a wave
 DAMPING = 1e-8  # keeps a speed line that is flat at a trial state from throwing the state away
 FLAP = {"exhaust_flap": 1e5, "flap_m": 4.0, "flap_q": 0.0}
 """An exhaust flap that throttles by 9 kPa at 0.3 kg/s and half stroke."""
@@ -56,11 +57,12 @@ def settle(model: SteadyModel, data: SteadyPoints, values: Mapping[str, Any], st
 
 def made_points(
     engine: EngineParameters = TRUTH, count: int = 150, noise: float = 0.01, seed: int = 5,
-    effects: Mapping[str, float] | None = None, **fixed: float,
+    effects: Mapping[str, float] | None = None, exhaust_wave: float = 0.0, **fixed: float,
 ) -> SteadyPoints:  # fmt: skip
     """`count` settled points with relative noise under effects (and coefficients of the flap's law).
 
-    Faults of sensors among the effects change the readings; `fixed` holds an input column at one value.
+    Faults of sensors among the effects change the readings; `fixed` holds an input column at one value. The exhaust's
+    temperature is off by `exhaust_wave` times a wave over engine speed.
     """
     generator = np.random.default_rng(seed)
     n = 3 * count
@@ -70,15 +72,17 @@ def made_points(
     for name, value in fixed.items():
         columns[name] = np.full(n, value)
     data = points(columns, engine, needed=())
+    wave = f"{MAP_MODE}T_em:wave"
+    solved = data.with_columns(**{wave: np.sin(data["n_e_rpm"] / WAVE_RPM)})
     model = SteadyModel(engine)
-    values = {"h_tot": engine.h_tot, **(effects or {})}
+    values = {"h_tot": engine.h_tot, wave: exhaust_wave, **(effects or {})}
     load = columns["u_delta_mg"] / 200.0
     p_im = engine.p_amb * (1.1 + 1.7 * load)
     flow = 0.9 * p_im * columns["n_e_rpm"] * engine.V_d / (120.0 * 287.0 * 300.0)
     turbo, exhaust = 3000.0 + 6500.0 * load, 550.0 + 300.0 * load
     start = np.stack([p_im, 1.15 * p_im, turbo, 0.85 * flow, 0.15 * flow, exhaust], axis=1)
-    x = settle(model, data, values, start)
-    r = model.relations(data, x, values).residual[0, :, : len(ROWS)]
+    x = settle(model, solved, values, start)
+    r = model.relations(solved, x, values).residual[0, :, : len(ROWS)]
     air = x[:, 3] / (14.57e-6 / 120.0 * columns["u_delta_mg"] * columns["n_e_rpm"] * 6)
     good = (np.abs(r).max(axis=1) < 1e-4) & (air > 1.15) & (x[:, 0] > 1.04 * engine.p_amb) & (x[:, 5] < 1200.0)
     chosen = np.flatnonzero(good)[:count]
