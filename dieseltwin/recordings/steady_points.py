@@ -47,6 +47,7 @@ BESIDE = ("p_es_pa", "p_bc_pa", "t_c_k")
 """Places of a test bed that points may be measured at besides."""
 
 COMPRESSION = 0.286  # (gamma - 1)/gamma of air [-]
+COOLANT_K = 360.0  # of an EGR cooler, the engine's own, which its thermostat holds
 FEWEST_READ = 10  # points that the usual charge is told by
 
 JUDGED = "judged"
@@ -102,15 +103,17 @@ class SteadyPoints:
     @cached_property
     def usual_charge(self) -> np.ndarray | None:
         """Charge temperature (n,) [K] by how it is read over the ambient where the engine is known to be well (else in
-        all points): it goes with what the cooler gets and with the share and heat of EGR. None where too few were read.
+        all points): air that a cooler left some of its compression's heat, mixed with EGR between its coolant's and the
+        exhaust's temperature. On a colder day the air is colder and the coolant isn't. None where too few were read.
 
         Kept: a balance of the points asks for it thousands of times.
         """
         read, T_0, p_0 = self["t_im_k"], self["t_amb_k"], self["p_amb_pa"]
         p_im, W_c, W_egr, T_em = (self.columns.get(name, np.full(self.size, np.nan))
                                   for name in ("p_im_pa", "w_c_kg_s", "w_egr_kg_s", "t_em_k"))  # fmt: skip
-        compressed = (p_im / p_0) ** COMPRESSION - 1.0
-        along = np.stack([np.ones(self.size), compressed, W_egr / (W_c + W_egr) * (T_em - T_0) / T_0], axis=1)
+        heat, share = T_0 * ((p_im / p_0) ** COMPRESSION - 1.0), W_egr / (W_c + W_egr)
+        air, egr = ((1.0 - share) * heat, 1.0 - share), (share * (COOLANT_K - T_0), share * (T_em - COOLANT_K))
+        along = np.stack([*air, *egr], axis=1)
         along = np.where(np.isfinite(along), along, np.nanmedian(along, axis=0))
         well = self.columns.get(JUDGED, np.zeros(self.size)) < 0.5
         used = well & np.isfinite(read) & np.isfinite(along).all(axis=1)

@@ -14,7 +14,7 @@ from dieseltwin.calibration.discover import Options, discover_points
 from dieseltwin.calibration.reference_engine import about_reference, told_by_reference
 from dieseltwin.calibration.steady_model import MAP_MODE, SENSOR_ERROR, SteadyModel
 from dieseltwin.calibration.steady_twin import CHARGE, SteadyTwin
-from dieseltwin.recordings.steady_points import SteadyPoints, beside_reference
+from dieseltwin.recordings.steady_points import COOLANT_K, SteadyPoints, beside_reference
 from dieseltwin.settings.defaults import default_search
 from tests.calibration.simulated import GEOMETRY, TRUTH, made_points
 
@@ -102,8 +102,9 @@ def test_the_usual_charge_is_that_of_the_reference_in_the_weather_of_the_day() -
                             [made_points(TRUTH, 30, 0.0, 5, u_flap_pct=100.0)])  # fmt: skip
     T_amb = np.where(both["judged"] > 0.5, 283.0, 301.0)
     share = both["w_egr_kg_s"] / (both["w_c_kg_s"] + both["w_egr_kg_s"])
-    cooled = 15.0 * ((both["p_im_pa"] / both["p_amb_pa"]) ** 0.286 - 1.0)
-    usual = T_amb + cooled + 30.0 * share * (both["t_em_k"] / T_amb - 1.0)
+    cooled = 4.0 + 0.05 * T_amb * ((both["p_im_pa"] / both["p_amb_pa"]) ** 0.286 - 1.0)
+    of_egr = COOLANT_K + 0.1 * (both["t_em_k"] - COOLANT_K) - T_amb
+    usual = T_amb + (1.0 - share) * cooled + share * of_egr
     worse = np.where(both["judged"] > 0.5, 8.0, 0.0)
     points = both.with_columns(t_amb_k=T_amb, t_im_k=usual + worse)
     assert points.usual_charge == pytest.approx(usual)

@@ -10,7 +10,7 @@ import pytest
 
 from dieseltwin.errors import InputError
 from dieseltwin.recordings.named_columns import import_columns
-from dieseltwin.recordings.steady_points import read_points, roughness
+from dieseltwin.recordings.steady_points import JUDGED, SteadyPoints, read_points, roughness
 
 REFERENCE = Path(__file__).parents[1] / "reference" / "field_random_300s.csv"
 COLUMNS = ["n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct", "p_im_pa", "p_em_pa", "omega_t_rad_s", "w_c_kg_s"]
@@ -109,3 +109,21 @@ def test_settled_points_may_have_times(tmp_path, name, values, timed):
     table.to_csv(tmp_path / "points.csv", index=False)
     for source in (table, tmp_path / "points.csv"):
         assert import_columns(source).timed == timed
+
+
+def test_the_usual_charge_of_a_colder_day_has_egr_from_a_coolant_as_warm_as_ever() -> None:
+    """Cooled air, mixed with EGR from a cooler of 95 % on a coolant of 365 K; told by points of 297 K alone."""
+    generator = np.random.default_rng(3)
+    count = 200
+    pressures, flows, hot, egr = generator.uniform([1.1, 0.1, 600.0, 0.05], [3.4, 0.5, 1000.0, 0.3], (count, 4)).T
+    judged = (np.arange(count) >= 120).astype(float)
+    T_0 = np.where(judged > 0.5, 280.0, 297.0)
+    behind = T_0 + T_0 * (pressures**0.286 - 1.0) / 0.75
+    charge = (1.0 - egr) * (T_0 + 0.1 * (behind - T_0)) + egr * (365.0 + 0.05 * (hot - 365.0))
+    data = SteadyPoints({
+        JUDGED: judged, "t_amb_k": T_0, "p_amb_pa": np.full(count, 1e5), "p_im_pa": 1e5 * pressures, "t_em_k": hot,
+        "w_c_kg_s": (1.0 - egr) * flows, "w_egr_kg_s": egr * flows, "t_im_k": charge,
+    }, np.arange(count))  # fmt: skip
+    foretold = data.usual_charge
+    assert foretold is not None
+    assert np.abs(foretold - charge)[judged > 0.5].max() < 0.5
