@@ -100,7 +100,7 @@ def _effects(result: PointsDiscovery) -> tuple[FoundEffect, ...]:
             hypothesis = item.found.twin.hypotheses[name]
             if name not in EFFECTS:
                 column, _, fault = name.partition(":")
-                size = f"{magnitude:+.4g} +- {std:.2g}"
+                size = f"{magnitude:+.4g} ± {std:.2g}"
                 laws.append(f"{column}: reading (1 {size})" if fault == "gain"
                             else f"{column}: reading {size} {hypothesis.unit}")
                 continue

@@ -66,4 +66,4 @@ def test_a_thermocouple_that_went_off_since_is_found_beside_it_with_its_deviatio
     assert tuple(found.effects) == ("t_em_k:offset",)
     size, std = found.effects["t_em_k:offset"]
     assert size == pytest.approx(HOTTER_K, abs=3.0 * std)
-    assert f"reading {size:+.4g} +- {std:.2g} K" in str(document(found).effects[-1].law)
+    assert f"reading {size:+.4g} ± {std:.2g} K" in str(document(found).effects[-1].law)
