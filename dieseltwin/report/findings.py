@@ -23,6 +23,8 @@ Unit = Callable[[str, str | None], tuple[str, float]]
 Shares = Sequence[tuple[Sequence[str], float]]
 """Names, and the share of the misfit that they explain together [-]."""
 
+_SHORT = 30  # letters that stand on one line of a column of words
+
 
 def as_it_is(name: str, unit: str | None) -> tuple[str, float]:
     """A unit that is shown as the machine's own file has it."""
@@ -54,10 +56,13 @@ def findings(
         equivalent = ", ".join(effect.equivalent_names) or EMPTY
         if effect.equivalent_names and effect.split_by:
             equivalent += f"; {effect.split_by} would settle it"
-        times = (when if timed is True or effect.name in timed else always,) if timed else ()
+        told = (when if timed is True or effect.name in timed else always,) if timed else ()
+        times = (Markup(quantities.with_symbols(text)) for text in told)
         rows.append((effect.name, size, interval, quantities.probability(effect.probability),
                      _share(document, effect, shares), *times, equivalent))  # fmt: skip
-    return Table(heads, rows, words=(0, len(heads) - 1), long=(len(heads) - 1,))
+    sentences = tuple(range(5, len(heads)))  # when, and what it can't be told from
+    long = tuple(k for k in sentences if any(len(row[k]) > _SHORT for row in rows))
+    return Table(heads, rows, words=(0, *sentences), long=long)
 
 
 def _sizes(effect: FoundEffect, unit: Unit) -> tuple[str, str]:

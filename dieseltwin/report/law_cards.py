@@ -103,9 +103,10 @@ def _card(effect: FoundEffect, document: Discrepancy, told: Told | None, judged:
     size = f"{name_markup(told.symbol)} = {told.size}" if told.symbol else ""
     known = ((s.name, s.meaning + ("" if s.unit == "-" else f" [{s.unit}]")) for s in symbols_in(" ".join(told.laws)))
     symbols = tuple((Markup(name_markup(name)), words) for name, words in told.symbols or known)
-    return LawCard(told.title[:1].upper() + told.title[1:], f"{told.about} {where}".strip(), _typeset(told.laws),
-                   Markup(size), symbols, _sure(effect, judged), effect.valid_for or "",
-                   law if law in told.laws else "")  # fmt: skip
+    about, valid_for = (Markup(quantities.with_symbols(text.strip()))
+                        for text in (f"{told.about} {where}", effect.valid_for or ""))  # fmt: skip
+    return LawCard(told.title[:1].upper() + told.title[1:], about, _typeset(told.laws), Markup(size), symbols,
+                   _sure(effect, judged), valid_for, law if law in told.laws else "")  # fmt: skip
 
 
 def _typeset(laws: Sequence[str]) -> Markup:
