@@ -157,7 +157,8 @@ def _check_time(time_s: Array, complete: NDArray[np.bool_], path: str) -> None:
     steps = np.diff(time_s[rows])
     if np.any(steps <= 0.0):
         row = int(rows[1:][steps <= 0.0][0]) + 1
-        raise InputError(f"{path}: time_s", f"no rise at data row {row}", "strictly rising time", "sort the rows")
+        raise InputError(f"{path}: time_s", f"no rise at data row {row}", "strictly rising time",
+                         "sort the rows, drop repeated ones, or give two recordings one by one")
     step = float(np.median(steps))
     if step > COARSEST_STEP_S:
         raise InputError(f"{path}: time_s", f"a row every {step:.3g} s", f"one every {COARSEST_STEP_S:g} s at least",
