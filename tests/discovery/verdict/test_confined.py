@@ -16,6 +16,7 @@ from dieseltwin.discovery.verdict.when import when_words
 from dieseltwin.report.discovery_words import sentence
 from dieseltwin.report.findings import findings
 from dieseltwin.report.law_cards import law_cards
+from dieseltwin.report.quantities import with_symbols
 from tests.discovery.toy import SETTINGS, Toy
 from tests.report import synthetic_discovery as synthetic
 
@@ -84,8 +85,9 @@ def test_sentence_table_and_card_say_the_region() -> None:
     document = synthetic.document(location={**synthetic.LOCATION, "only_in": WHERE, "regions": [synthetic.REGION]})
     assert f"a boost leak of 41.0 ± 2.0 mm², {WORDS}; the fit" in sentence(document)
     table = findings(document)
-    assert table is not None and WORDS in table.rows[0]
-    assert f"It acts {WORDS}." in law_cards(document)[0].meaning
+    told = with_symbols(WORDS)
+    assert table is not None and told in table.rows[0] and "<sub>" in told
+    assert f"It acts {told}." in law_cards(document)[0].meaning
     assert Discrepancy.model_validate(document.to_json()).location == document.location
     assert "only_in" not in synthetic.document().to_json()["location"]
 
