@@ -52,7 +52,7 @@ def test_a_leak_that_began_is_named_with_its_date(year: list[Path], tmp_path: Pa
         assert abs(size["value"] - truth) < 3.5 * size["std"] < 15e-6
     (effect,) = document["effects"]  # the size of the verdict, and that of the last recording where it is freed
     assert abs(sizes[-1]["value"] - effect["magnitude"]) < 2.0 * effect["std"]
-    assert sizes[-1]["std"] == pytest.approx(effect["std"], rel=0.4)
+    assert effect["std"] < sizes[-1]["std"] < 3.0 * effect["std"]  # what was there before is free, too
     worn = [row["health"]["A_egrmax"]["value"] / we2011.PARAMETERS.A_egrmax for row in rows]
     assert worn == pytest.approx([1.0, 0.97, 0.94], abs=0.025)
     assert found.engine.terms[-1].effect == "boost_leak"
