@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from dieseltwin.arrays import Array
-from dieseltwin.engine import EngineParameters
-from dieseltwin.engine.cylinder import fuel_flow
+from dieseltwin.engine import EngineParameters, constants
+from dieseltwin.engine.cylinder import cylinder_inflow, fuel_flow
 from dieseltwin.errors import InputError
 from dieseltwin.notes import Note
 from dieseltwin.recordings.channels import INPUTS
@@ -182,8 +182,9 @@ def _explained(area: Array, u: Array) -> float:
 def filling_notes(points: SteadyPoints, engine: EngineParameters) -> list[Note]:
     """A note where the flows that were measured fill the displacement by what no engine is filled by."""
     warm = points["t_im_k"] if "t_im_k" in points else np.full(points.size, engine.T_im)
-    gas = points["w_c_kg_s"] + points["w_egr_kg_s"]
-    filled = float(np.nanmedian(120.0 * engine.R_a * warm * gas / (points["p_im_pa"] * points["n_e_rpm"] * engine.V_d)))
+    charged: Any = constants(engine)._replace(T_im=warm)
+    whole = cylinder_inflow(np.ones(points.size), points["p_im_pa"], points["n_e_rpm"], charged)
+    filled = float(np.nanmedian((points["w_c_kg_s"] + points["w_egr_kg_s"]) / whole))
     low, high = FILLING
     if low <= filled <= high:
         return []

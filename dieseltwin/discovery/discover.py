@@ -163,13 +163,12 @@ def _with_doubts(
 ) -> Discovery:
     """What was done to the recordings on reading, and what is doubtful about the fit and `more`, in the document."""
     several = len(recordings) > 1
-    doubts = [*more]
-    doubts += [
+    read = (
         of_reading(note, f"{recording.path or 'recording'}: " if several else "")
         for recording in recordings
         for note in recording.notes
-    ]
-    doubts += [*fit_doubts(result.document), *loud_channels(result)]
+    )
+    doubts = [*more, *read, *fit_doubts(result.document), *loud_channels(result)]
     if found.unsettled and result.document.mismatch:
         leads = " and ".join(" + ".join(names) for names in dict.fromkeys(found.unsettled))
         doubts.append(Note(f"more than one explanation: {leads} lead in turns, each with the likelihood about the "

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from dataclasses import dataclass, field, fields
 
 from pydantic import BaseModel
 
 from dieseltwin.settings.defaults import default_discover, default_search
+from dieseltwin.settings.params import params_sha256
 from dieseltwin.settings.search import CircumstanceSettings, SearchSettings
 
 
@@ -32,10 +31,10 @@ class SearchOptions:
 
     @property
     def sha256(self) -> str:
-        """SHA-256 (hex) of everything that was chosen, what is decided by included, as canonical JSON."""
+        """SHA-256 (hex) of everything that was chosen, what is decided by included."""
         values = {item.name: getattr(self, item.name) for item in fields(self)}
         plain = {k: v.model_dump(mode="json") if isinstance(v, BaseModel) else v for k, v in values.items()}
-        return hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()
+        return params_sha256(plain)
 
 
 @dataclass(frozen=True, kw_only=True)

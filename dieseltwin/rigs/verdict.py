@@ -84,10 +84,15 @@ def _unexplained(result: RigDiscovery, fit: Fit) -> list[Note]:
     return notes
 
 
+def _judged(result: RigDiscovery) -> list[Round]:
+    """Rounds that were taken by free runs."""
+    return [item for item in result.taken if item.after.size]
+
+
 def _left_notes(result: RigDiscovery) -> list[Note]:
     """Readings of which free runs of the machine with what was found leave several times the noise: what is named may
     be part of what is missing."""
-    judged = [item for item in result.taken if item.after.size]
+    judged = _judged(result)
     if result.more_is_missing or not judged:
         return []
     twin: RigTwin = result.fit_after.twin  # type: ignore[assignment]
@@ -133,7 +138,7 @@ def _hold_notes(result: RigDiscovery) -> list[Note]:
 def shares(result: RigDiscovery) -> list[tuple[tuple[str, ...], float]]:
     """Names of each round that was taken, and the share of the squared error of free runs that no fit has seen which it
     takes away [-]."""
-    judged = [item for item in result.taken if item.after.size]
+    judged = _judged(result)
     return [((NONE_OF_THESE,) if item.law is not None else item.names,
              float(np.nanmean((item.before**2 - item.after**2) / judged[0].before**2))) for item in judged]
 
@@ -183,7 +188,7 @@ def _fit(result: RigDiscovery) -> Fit:
 
     before, after = rms(result.fit_before.residual), rms(result.fit_after.residual)
     names = result.fit_before.twin.channels
-    judged = [item for item in result.taken if item.after.size]
+    judged = _judged(result)
     return Fit(
         held_out_nll_before=_nll(judged[0].before) if judged else None,
         held_out_nll_after=_nll(judged[-1].after) if judged else None,
@@ -227,7 +232,7 @@ def sentence(result: RigDiscovery, found: Discrepancy) -> str:
         when = f" {when_words(found.location)}" if e.name in result.begun else ""
         size = f"{e.magnitude:.4g}{'' if e.std is None else f' ± {e.std:.2g}'} {e.unit}"
         told.append(f"{e.name} {size} ({e.law}){when}{apart}")
-    judged = [item for item in result.taken if item.after.size]
+    judged = _judged(result)
     if any(e.law == MORE for e in found.effects):
         told.append(f"beside {'these' if len(told) > 1 else 'this'} {MORE}" if told else MORE)
     text = f"{name}, first at {found.location.site}: {'; '.join(told)}."

@@ -17,6 +17,7 @@ from dieseltwin.discovery.twins.interface import Array, Twin
 from dieseltwin.discovery.twins.several import SeveralTwin
 from dieseltwin.discovery.verdict.document import NONE_OF_THESE, Alternative, FoundEffect, FoundRegion, Location
 from dieseltwin.discovery.verdict.reasons import split_by
+from dieseltwin.discovery.verdict.when import CONDITIONS
 from dieseltwin.symbols import INPUT_COLUMNS
 
 _LEAST_PROBABILITY = 1e-3  # of a site or name that is still worth a line
@@ -229,11 +230,10 @@ def valid_for(found: Search) -> str:
     """The driving behind a finding, in words: of what acts in a part of it, that part."""
     acts = _acting(found)
     conditions = {name: values[acts] for name, values in found.twin.conditions.items()}
-    units = {"n_e_rpm": "rpm", "u_delta_mg": "mg/cycle", "u_egr_pct": "%", "u_vgt_pct": "%"}
-    parts = [
-        f"{name.rsplit('_', 1)[0]} {np.min(values):.4g}-{np.max(values):.4g} {units.get(name, '')}".strip()
-        for name, values in conditions.items()
-    ]
+    parts = []
+    for name, values in conditions.items():
+        symbol, unit = CONDITIONS.get(name, (name.rsplit("_", 1)[0], ""))
+        parts.append(f"{symbol} {np.min(values):.4g}-{np.max(values):.4g} {unit}".strip())
     return ", ".join(parts)
 
 
