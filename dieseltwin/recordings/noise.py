@@ -119,23 +119,22 @@ def _high_frequency_spectrum(values: Array, breaks: np.ndarray, lowest: float) -
 
 def _fit_spectrum(omega: Array, power: Array, clean: bool) -> tuple[float, float]:
     """Correlation and innovation variance of AR(1) noise beside what is left of the signal, falling as omega**-4."""
-    signal = omega**-4.0
-    best, found = np.inf, (0.0, float(power[-1]))
-    for rho in np.linspace(0.0, _LARGEST_RHO, 91):
-        noise = 1.0 / (1.0 + rho**2 - 2.0 * rho * np.cos(omega))
-        a, b = noise / power, signal / power  # relative errors are alike at all frequencies
-        gram = np.array([[a @ a, a @ b], [a @ b, b @ b]])
-        share, rest = np.linalg.solve(gram + 1e-9 * np.diag(np.diag(gram)), [a.sum(), b.sum()])
-        if clean or rest < 0.0:
-            share, rest = a.sum() / (a @ a), 0.0
-        if share <= 0.0:
-            continue
-        misfit = np.log(power / (share * noise + rest * signal))
-        score = float(misfit @ misfit) / _SPECTRUM_ERROR**2 + (rho / _USUAL_RHO) ** 2
-        if score < best:
-            level = float(np.exp(np.log(power / noise).mean())) if clean else float(share)
-            best, found = score, (float(rho), _MEDIAN_BIAS * level)
-    return found
+    rho, signal = np.linspace(0.0, _LARGEST_RHO, 91), omega**-4.0
+    noise = 1.0 / (1.0 + rho[:, None] ** 2 - 2.0 * rho[:, None] * np.cos(omega))
+    a, b = noise / power, np.broadcast_to(signal / power, noise.shape)  # relative errors are alike at all frequencies
+    gram = np.stack([a, b], axis=1) @ np.stack([a, b], axis=2)
+    sums = np.stack([a.sum(axis=1), b.sum(axis=1)], axis=1)
+    share, rest = np.linalg.solve(gram * (1.0 + 1e-9 * np.eye(2)), sums[..., None])[..., 0].T
+    alone = clean | (rest < 0.0)
+    share, rest = np.where(alone, sums[:, 0] / gram[:, 0, 0], share), np.where(alone, 0.0, rest)
+    possible = share > 0.0
+    if not possible.any():
+        return 0.0, float(power[-1])
+    rho, noise, share, rest = rho[possible], noise[possible], share[possible], rest[possible]
+    misfit = np.log(power / (share[:, None] * noise + rest[:, None] * signal))
+    best = int(np.argmin((misfit**2).sum(axis=1) / _SPECTRUM_ERROR**2 + (rho / _USUAL_RHO) ** 2))
+    level = np.exp(np.log(power / noise[best]).mean()) if clean else share[best]
+    return float(rho[best]), float(_MEDIAN_BIAS * level)
 
 
 def cut_off(values: Array) -> CutOff | None:

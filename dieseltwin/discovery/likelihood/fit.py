@@ -189,17 +189,22 @@ class Linearisation:
         differences = (simulated[1:] - simulated[0]) / steps[:, None, None]
         known = len(twin.parameters) + len(fit.candidate.names)
         self.jacobian = differences[:known]
+        # at once: what ties the rows of a window together is read once, not for each of them
+        rows = whitening.apply(np.concatenate([differences, np.nan_to_num(self.residual)[None]]))
         if frozen is None:
             self.local_response = differences[known:]
             self.nuisance_response = nuisance_response
             whitened = whitened or WhitenedNuisances.of(whitening, nuisance_response)
-            self.metric = Metric(whitening, twin.starts, self.local_response, twin.state_scales, whitened)
+            self.metric = Metric(
+                whitening, twin.starts, self.local_response, twin.state_scales, whitened, rows[known:-1]
+            )
         else:  # local states and tolerances act nearly alike everywhere near
             self.local_response = frozen.local_response
             self.nuisance_response = frozen.nuisance_response
             self.metric = frozen.metric
-        self.projected = self.metric.project(self.jacobian)
-        self.projected_residual = self.metric.project(np.nan_to_num(self.residual)[None])[0]
+        self._whitened = np.concatenate([rows[:known], rows[-1:]])
+        vectors = self.metric.project_whitened(self._whitened)
+        self.projected, self.projected_residual = vectors[:-1], vectors[-1]
         self.precision = prior_precision(twin, len(fit.candidate.names))
         pull = 0.0 if isinstance(twin, Strained) and twin.strained else np.sqrt(self.precision) * self._offset(fit)
         self.pulled_residual = np.append(self.projected_residual, np.broadcast_to(pull, self.precision.shape))
@@ -233,8 +238,7 @@ class Linearisation:
 
     def local_step(self, change: Array) -> Array:
         """Change of the initial states that goes with a change of parameters and magnitudes, (W, S)."""
-        rest = np.nan_to_num(self.residual) - np.tensordot(change, self.jacobian, 1)
-        return self.metric.local_step(self.without_nuisances(rest))
+        return self.metric.local_step_beside_nuisances(self._whitened[-1] - change @ self._whitened[:-1])
 
     def without_nuisances(self, residual: Array) -> Array:
         """A residual (n, C) without what tolerances most likely are of it."""

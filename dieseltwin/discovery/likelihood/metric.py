@@ -158,6 +158,7 @@ class Metric:
         local: (S, n, C) response of the readings to each initial state, all windows moved together.
         state_scales: (S,) typical sizes of the states, for their weak priors.
         nuisances: whitened responses to the nuisance coefficients, or None.
+        columns: (S, n C) `local` whitened, where that is known.
 
     Raises:
         LinAlgError: responses that are not finite.
@@ -170,12 +171,15 @@ class Metric:
         local: Array,
         state_scales: Array,
         nuisances: WhitenedNuisances | None = None,
+        columns: Array | None = None,
     ) -> None:
         self.whitening = whitening
         n, channels = whitening.present.shape
         bounds = np.append(starts, n) * channels
         self._blocks = [slice(int(a), int(b)) for a, b in pairwise(bounds)]
-        columns = whitening.apply(local).T if local.size else np.zeros((n * channels, 0))
+        if columns is None:
+            columns = whitening.apply(local) if local.size else np.zeros((0, n * channels))
+        columns = columns.T
         ridge = np.diag(1.0 / (_LOCAL_PRIOR * np.asarray(state_scales))) if columns.shape[1] else np.zeros((0, 0))
         self._columns = columns
         self.states = columns.shape[1]
@@ -240,7 +244,10 @@ class Metric:
 
     def project(self, values: Array) -> Array:
         """Readings or their differences (B, n, C) -> (B, rows): whitened, local states and nuisances taken out."""
-        whitened = self.whitening.apply(np.asarray(values))
+        return self.project_whitened(self.whitening.apply(np.asarray(values)))
+
+    def project_whitened(self, whitened: Array) -> Array:
+        """As `project`, of values (B, n C) that are whitened already."""
         if self._nuisances is None:
             return self._without_local(whitened)
         weights = self._nuisance_weights(self._nuisances, self._without_local(whitened))
@@ -273,7 +280,16 @@ class Metric:
 
     def local_step(self, residual: Array) -> Array:
         """Least-squares change of the initial states for one residual (n, C) -> (W, S)."""
-        whitened = self.whitening.apply(residual[None])[0]
+        return self._local_step(self.whitening.apply(residual[None])[0])
+
+    def local_step_beside_nuisances(self, whitened: Array) -> Array:
+        """The same for a whitened residual (n C,), without what nuisances most likely are of it."""
+        if self._nuisances is None:
+            return self._local_step(whitened)
+        weights = self._nuisance_weights(self._nuisances, self._without_local(whitened[None]))
+        return self._local_step(whitened - weights[0] @ self._nuisances.responses)
+
+    def _local_step(self, whitened: Array) -> Array:
         if self.states == 1:
             return np.asarray(np.add.reduceat(whitened * self._unit, self._first) / self._lengths)[:, None]
         step = np.zeros((len(self._blocks), self.states))

@@ -86,11 +86,10 @@ def tolerance_modes(arguments: Sequence[Array], detail: Detail = LEADING) -> Arr
     knots = x[np.linspace(0, len(x) - 1, min(detail.knots, len(x))).astype(int)]
 
     def kernel(a: Array, b: Array) -> Array:
-        squared = np.zeros((len(a), len(b)))
-        for j in range(a.shape[1]):
-            squared += np.subtract.outer(a[:, j], b[:, j]) ** 2
-        squared *= -0.5
-        return np.exp(squared, out=squared)
+        exponent = a @ b.T  # of |a - b|^2 = |a|^2 - 2 a b + |b|^2, minus a half
+        exponent -= 0.5 * (a**2).sum(axis=1)[:, None]
+        exponent -= 0.5 * (b**2).sum(axis=1)
+        return np.exp(exponent, out=exponent)
 
     values, vectors = np.linalg.eigh(kernel(knots, knots))
     order = np.argsort(values)[::-1]

@@ -41,20 +41,19 @@ def near(lanes: Lanes, starts: np.ndarray, base: Observations, simulate: Simulat
     sizes = np.array([np.abs(signals[of_lane == j]).max() for j in range(points.size)])
     sizes = np.where(sizes > 0.0, sizes, 1.0)
     moved, seen = _matrices(some_lanes(lanes, slice(0, 1)), starts, base, simulate, points, sizes)
-    states = np.zeros((lanes.size, signals.shape[1], _STATES))
+    driving = np.ascontiguousarray(signals.T)[:, None]  # (n, 1, B): lanes last, where all of them are one product
+    begin, end = _STATES + of_lane, _STATES + points.size + of_lane
+    push = moved[:-1, :, begin] * driving[:-1] + moved[:-1, :, end] * driving[1:]
+    states = np.zeros((signals.shape[1], _STATES, lanes.size))
     ends = np.append(starts[1:], signals.shape[1])
     for step in range(int((ends - starts).max()) - 1):
         rows = (starts + step)[starts + step + 1 < ends]
-        states[:, rows + 1] = (
-            np.einsum("rij,brj->bri", moved[rows, :, :_STATES], states[:, rows])
-            + moved[rows][:, :, _STATES + of_lane].transpose(2, 0, 1) * signals[:, rows, None]
-            + moved[rows][:, :, _STATES + points.size + of_lane].transpose(2, 0, 1) * signals[:, rows + 1, None]
-        )
-    readings = np.einsum("ncj,bnj->bnc", seen[:, :, :_STATES], states)
-    readings += seen[:, :, _STATES + of_lane].transpose(2, 0, 1) * signals[:, :, None]
+        states[rows + 1] = moved[rows, :, :_STATES] @ states[rows] + push[rows]
+    readings = seen[:, :, :_STATES] @ states
+    readings += seen[:, :, _STATES + of_lane] * driving
     all_states = np.repeat(base.states, lanes.size, axis=0)
-    all_states[..., :_STATES] += states
-    return Observations(all_states, base.measured + readings)
+    all_states[..., :_STATES] += states.transpose(2, 0, 1)
+    return Observations(all_states, base.measured + readings.transpose(2, 0, 1))
 
 
 def _matrices(
