@@ -306,7 +306,9 @@ def _what_words(document: Discrepancy) -> str:
     unnamed = [effect for effect in document.effects if not effect.named]
     off = is_sensor(location.site)
     if not unnamed and off:  # the effect says which reading it is
-        return f"A sensor is off, physics is not what is missing: {_placed(named, location.site, f'({sure})')}"
+        alone = all(is_sensor(site_of(effect.name) or location.site) for effect in named)
+        physics = ", physics is not what is missing" if alone else " and physics is missing"
+        return f"A sensor is off{physics}: {_placed(named, location.site, f'({sure})')}"
     if not unnamed:
         return f"The twin leaves out, {where}, {_placed(named, location.site)}"
     law = unnamed[0].law

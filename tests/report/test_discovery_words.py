@@ -127,6 +127,9 @@ def test_sensor_fault_is_not_missing_physics() -> None:
         "(more than 99 % sure), from the start; "
     )
     assert "no other effect of the catalogue explains the recording as well" in text
+    text = sentence(synthetic.document(location=location, effects=[OFFSET, synthetic.LEAK]))
+    assert text.startswith("A sensor is off and physics is missing: an offset of the p_im reading of ")
+    assert "and, in the intake mass balance, a boost leak of 41.0 ± 2.0 mm²" in text
 
 
 def test_small_shifts_and_no_gain_are_said() -> None:
