@@ -190,7 +190,7 @@ class PointsDiscovered(Discovered):
         drawings = {
             "before_after": before_after, "errors": lambda found: points_pages.over_points(found).still,
             "submodels_repaired": lambda found: points_pages.submodels(found).still,
-            "implied": lambda found: points_pages.implied_figure((used := found.calibration.points.judged).columns,
+            "implied": lambda found: points_pages.implied_figure((used := found.points.judged).columns,
                                                                  self.answers(used)),
         }  # fmt: skip
         return drawn(self.found, drawings, name)
@@ -199,7 +199,7 @@ class PointsDiscovered(Discovered):
         return details(self.found, self.asked)
 
     def _write(self, folder: Path, began: float) -> dict[str, Any]:
-        used = self.found.calibration.points.judged
+        used = self.found.points.judged
         implied = self.answers(used)
         write_repaired(self.found, folder / "repaired.yaml", self.answers)
         _beside(used, implied).to_parquet(folder / "implied.parquet", index=False)

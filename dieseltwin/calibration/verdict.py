@@ -13,6 +13,7 @@ from dieseltwin.calibration.discover import PointsDiscovery, Round
 from dieseltwin.calibration.likelihood import balance_deviation
 from dieseltwin.calibration.scatter import Scatter
 from dieseltwin.calibration.steady_model import ROWS
+from dieseltwin.discovery.likelihood.fit import Fit as Fitted
 from dieseltwin.discovery.likelihood.score import minimum_detectable
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.verdict.document import (
@@ -50,11 +51,17 @@ MOST_CHI2 = 100.0  # of one balance of one point: a wild reading has a note of i
 _COLUMN = {"compressor_flow": "w_c_kg_s", "egr_flow": "w_egr_kg_s", "exhaust_temperature": "t_em_k"}
 
 
-def _probabilities(found: Search) -> dict[str, float]:
-    """Of the single names by their gains, which sum to one."""
-    gains = np.array([0.5 * found.gain(fit) for fit in found.singles])
+def _fits(item: Round) -> list[Fitted]:
+    """Of the single names of a round; of those that begin at a point where its choice does."""
+    return item.found.singles if item.onset is None else [item.onset.fit, *item.onset.others]
+
+
+def _probabilities(item: Round) -> dict[str, float]:
+    """Of the single names of a round by their gains, which sum to one."""
+    fits = _fits(item)
+    gains = np.array([0.5 * item.found.gain(fit) for fit in fits])
     weights = np.exp(np.maximum(gains - gains.max(), -60.0))
-    names = [fit.candidate.names[0] for fit in found.singles]
+    names = [fit.candidate.names[0] for fit in fits]
     return {name: float(w / weights.sum()) for name, w in zip(names, weights, strict=True)}
 
 
@@ -74,18 +81,18 @@ def shares(result: PointsDiscovery) -> list[tuple[tuple[str, ...], float]]:
 def _share(item: Round) -> float | None:
     """Share of a round's misfit that its names take away [-]; of a name that the search itself let go: by its gain."""
     found = item.found
-    if found.best is not None and found.best.fit.candidate.names == item.names:
+    if item.onset is None and found.best is not None and found.best.fit.candidate.names == item.names:
         return found.share_explained()
-    gain = max((found.gain(fit) for fit in found.singles if fit.candidate.names == item.names), default=0.0)
+    gain = max((found.gain(fit) for fit in _fits(item) if fit.candidate.names == item.names), default=0.0)
     return gain / max(found.null.fit.objective - found.twin.measured.size, gain, 1.0)
 
 
 def _equivalent(item: Round, name: str) -> tuple[str, ...]:
     """Names of the catalogue that the points can't tell from one."""
-    found = item.found
-    best = max(found.gain(fit) for fit in found.singles)
-    own = next((found.gain(fit) for fit in found.singles if fit.candidate.names == (name,)), best)
-    others = [fit.candidate.names[0] for fit in found.singles
+    found, fits = item.found, _fits(item)
+    best = max(found.gain(fit) for fit in fits)
+    own = next((found.gain(fit) for fit in fits if fit.candidate.names == (name,)), best)
+    others = [fit.candidate.names[0] for fit in fits
               if own - found.gain(fit) < found.settings.equivalent_gain and fit.candidate.names[0] not in item.names]
     return tuple(n for n in others if n in EFFECTS)
 
@@ -101,17 +108,19 @@ def _effects(result: PointsDiscovery) -> tuple[FoundEffect, ...]:
             if name not in EFFECTS:
                 column, _, fault = name.partition(":")
                 size = f"{magnitude:+.4g} ± {std:.2g}"
-                laws.append(f"{column}: reading (1 {size})" if fault == "gain"
-                            else f"{column}: reading {size} {hypothesis.unit}")
+                law = f"{column}: reading (1 {size})" if fault == "gain" else \
+                    f"{column}: reading {size} {hypothesis.unit}"
+                laws.append(law if item.onset is None else f"{law} since data row {item.onset.row}")
                 continue
             law = hypothesis.law
             own = next(t.shape for t in result.terms() if isinstance(t, Term) and t.effect == name)
             if own:
                 law += "; " + ", ".join(f"{key} = {value:.4g}" for key, value in own.items())
             entries.append(FoundEffect(
-                name=name, probability=_probabilities(item.found).get(name, 1.0) if len(item.names) == 1 else 1.0,
+                name=name, probability=_probabilities(item).get(name, 1.0) if len(item.names) == 1 else 1.0,
                 equivalent_names=_equivalent(item, name), law=law, magnitude=magnitude, std=finite(std),
                 unit=hypothesis.unit, valid_for=valid_for(item.found),
+                since_row=None if item.onset is None else item.onset.row,
             ))  # fmt: skip
     if result.more_is_missing:
         laws.append(result.law.text if result.law is not None else "more is missing; no law is resolved")
@@ -134,7 +143,7 @@ def _location(result: PointsDiscovery) -> Location:
     first = result.first
     found = first.found
     weights: dict[str, float] = {}
-    for name, probability in _probabilities(found).items():
+    for name, probability in _probabilities(first).items():
         site = found.twin.hypotheses[name].site
         weights[site] = weights.get(site, 0.0) + probability
     if first.taken:
@@ -152,9 +161,11 @@ def _location(result: PointsDiscovery) -> Location:
 
 
 def document(result: PointsDiscovery) -> Discrepancy:
-    """`discrepancy.json` of settled points: duration 0, no onset; names not of the catalogue are laws."""
+    """`discrepancy.json` of settled points: duration 0, onsets by data rows; names not of the catalogue are laws."""
     points = result.calibration.points.judged
-    first = result.rounds[0].found
+    first, onset = result.rounds[0].found, result.rounds[0].onset
+    gain = first.gain(first.singles[0]) if onset is None else \
+        first.gain(onset.fit) - first.settings.variant_gain  # what it must add for its choice
     health = _health(result)
     chi2_before, chi2_after = _chi2(result)
     made = Discrepancy(
@@ -162,7 +173,7 @@ def document(result: PointsDiscovery) -> Discrepancy:
         recording=RecordingInfo(path=str(points.path.name if points.path else "points"), sha256=points.sha256,
                                 duration_s=0.0, channels=tuple(name for name in STATES if name in points)),
         mismatch=result.mismatch,
-        p_value=float(np.clip(first.chance.p_value(first.gain(first.singles[0])), 0.0, 1.0)),
+        p_value=float(np.clip(first.chance.p_value(gain), 0.0, 1.0)),
         location=_location(result) if result.mismatch else None,
         effects=_effects(result) if result.mismatch else (),
         more_is_missing=result.more_is_missing,
@@ -281,6 +292,7 @@ def details(result: PointsDiscovery, asked: Mapping[str, Any]) -> dict[str, Any]
         "candidates": rows,
         "rounds": [
             {"names": list(item.names), "taken": item.taken, "held_out_nll": item.nll, "kind": item.found.kind,
+             "since_row": None if item.onset is None else item.onset.row,
              "singles": [{"name": fit.candidate.names[0], "gain": item.found.gain(fit),
                           "magnitude": float(fit.magnitudes[0])} for fit in item.found.singles[:8]]}
             for item in result.rounds
@@ -298,7 +310,7 @@ def _round_of(result: PointsDiscovery, name: str) -> int:
 
 
 def _rmse(result: PointsDiscovery, before: bool) -> dict[str, float]:
-    points = result.calibration.points.judged
+    points = result.points.judged
     here = result.calibration if before else result.repaired
     relations = here.model.relations(points, points.states(), here.start)
     return {_COLUMN[row]: float(np.sqrt(np.nanmean((relations.measured[row] - relations.predicted[row]) ** 2)))
@@ -311,7 +323,7 @@ def _chi2(result: PointsDiscovery) -> tuple[float, float]:
     Over one deviation for all points a few small EGR flows, of which a reading tells little, made it 4 on a healthy
     engine.
     """
-    points, rows = result.calibration.points.judged, slice(len(ROWS))
+    points, rows = result.points.judged, slice(len(ROWS))
     repaired = result.repaired
     deviation = balance_deviation(repaired.model, points, repaired.start, repaired.estimate.discrepancy)[:, rows]
 
@@ -324,7 +336,7 @@ def _chi2(result: PointsDiscovery) -> tuple[float, float]:
 
 def _region(result: PointsDiscovery) -> FoundRegion:
     """The box of the points that hold most of the evidence (upper half of the gain)."""
-    points = result.calibration.points.judged
+    points = result.points.judged
     states = points.states()
     r_0 = result.calibration.model.relations(points, states, result.calibration.start).residual[0]
     r_1 = result.repaired.model.relations(points, states, result.repaired.start).residual[0]

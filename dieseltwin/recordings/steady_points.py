@@ -53,6 +53,9 @@ FEWEST_READ = 10  # points that the usual charge is told by
 JUDGED = "judged"
 """Column of 1 for points that are judged and 0 for those of the reference; without it all are judged."""
 
+SINCE = "since:"
+"""Begin of the names of columns of 1 for judged points in which something found acts, 0 elsewhere, "since:<name>"."""
+
 MOVING = ("n_e_rpm", "u_delta_mg", "p_im_pa")
 FEWEST_MOVING = 30  # rows, to say that they are those of a recording
 NEAR_BESIDE_COUNTER, NEAR, VERY_NEAR = 0.15, 0.03, 0.01
