@@ -27,6 +27,7 @@ from dieseltwin.calibration.coefficients import (
 from dieseltwin.calibration.lasting_errors import map_corrections
 from dieseltwin.calibration.likelihood import Estimate, estimate, log_density
 from dieseltwin.calibration.onsets import Onset, onset_of
+from dieseltwin.calibration.own_pipes import BACK_PRESSURE, beside_own_pipes
 from dieseltwin.calibration.reference_engine import about_reference, told_by_reference
 from dieseltwin.calibration.scatter import Scatter, scatter_of
 from dieseltwin.calibration.steady_model import (
@@ -109,6 +110,7 @@ class PointsDiscovery:
         formulations: competing models of the unmeasured places, with their estimates, for `imply`.
         seconds: wall time.
         before_law: `repaired` as it was before the law, where there is one.
+        beside_pipes: back pressure where the engine has usual pipes of its own [Pa/(kg/s)^2], where that was found.
     """
 
     calibration: Calibration
@@ -126,6 +128,7 @@ class PointsDiscovery:
     formulations: Mapping[str, tuple[SteadyModel, Estimate]]
     seconds: float
     before_law: Calibration | None = None
+    beside_pipes: float | None = None
 
     @property
     def mismatch(self) -> bool:
@@ -248,12 +251,15 @@ def discover_points(calibration: Calibration, options: Options | None = None) ->
         scatter = scatter_of(here.model, here.points, here.start, options.search.submodels)
     std = here.estimate.std()
     values = here.estimate.values()
+    beside_pipes = beside_own_pipes(here, free)
+    if beside_pipes is not None:
+        std[BACK_PRESSURE] = float(np.hypot(std[BACK_PRESSURE], values[BACK_PRESSURE] - beside_pipes))
     return PointsDiscovery(
         calibration, here, tuple(rounds), {name: (values[name], std[name]) for name in names}, nll_before, nll,
         submodel_fits(calibration.model, points, mask, trained_before, calibration.estimate.discrepancy),
         submodel_fits(here.model, here.points, mask, trained, here.estimate.discrepancy),
         law, terms, scatter, options, _formulations(here, free, options.search.submodels), time.perf_counter() - clock,
-        before_law,
+        before_law, beside_pipes,
     )  # fmt: skip
 
 

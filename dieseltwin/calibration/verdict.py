@@ -189,7 +189,8 @@ def document(result: PointsDiscovery) -> Discrepancy:
         health_bias=_health_bias(first),
         provenance=Provenance(code_version=__version__, params_sha256=result.options.sha256),
     )  # fmt: skip
-    doubts = [*doubts_among(result.calibration.notes), *fit_doubts(made), *_law_notes(result, health)]
+    doubts = [*doubts_among(result.calibration.notes), *fit_doubts(made), *_law_notes(result, health),
+              *_pipe_notes(result)]  # fmt: skip
     return with_warnings(made, doubts)
 
 
@@ -263,6 +264,16 @@ def _law_notes(result: PointsDiscovery, health: Mapping[str, HealthValue]) -> li
             if now.since_reference is not None and abs(apart.get(name, (0.0, 0.0))[1]) > own.get(WEAR[name], np.inf)]
     return [Note(f"since the reference, {listed(told)} can't be told from the law that has no name; the deviation "
                  "holds both", "health_or_law")] if told else []  # fmt: skip
+
+
+def _pipe_notes(result: PointsDiscovery) -> list[Note]:
+    """What a back pressure comes to where the engine has pipes of its own, which its reference doesn't show."""
+    if result.beside_pipes is None or "back_pressure" not in result.effects:
+        return []
+    found = result.effects["back_pressure"][0]
+    return [Note(f"the back pressure is {found / 1e3:.3g} kPa/(kg/s)^2 if nothing throttled the exhaust of the well "
+                 f"engine, and {result.beside_pipes / 1e3:.3g} beside usual pipes; the deviation holds both, and a "
+                 "pressure read behind the turbine would tell", "not_recorded", ("p_es_pa",))]  # fmt: skip
 
 
 def _reference(result: PointsDiscovery) -> Reference | None:
