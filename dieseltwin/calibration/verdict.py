@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -88,13 +88,25 @@ def _share(item: Round) -> float | None:
 
 
 def _equivalent(item: Round, name: str) -> tuple[str, ...]:
-    """Names of the catalogue that the points can't tell from one."""
+    """Names of the catalogue that the points can't tell from one: what that leaves is the size of what the balances
+    can't describe, so closer names can't be told apart either."""
     found, fits = item.found, _fits(item)
+    left = found.left[0].gain if found.left and item.onset is None else 0.0
+    reach = max(found.settings.equivalent_gain, left)
     best = max(found.gain(fit) for fit in fits)
     own = next((found.gain(fit) for fit in fits if fit.candidate.names == (name,)), best)
     others = [fit.candidate.names[0] for fit in fits
-              if own - found.gain(fit) < found.settings.equivalent_gain and fit.candidate.names[0] not in item.names]
+              if own - found.gain(fit) < reach and fit.candidate.names[0] not in item.names]
     return tuple(n for n in others if n in EFFECTS)
+
+
+def _split_by(name: str, others: Sequence[str], extra: Sequence[str]) -> str | None:
+    """The reading that would tell a name from the others; None where none is known."""
+    apart = {"t_c_k": {"compressor_efficiency_loss", "turbine_efficiency_loss"},
+             "t_im_k": {"charge_cooler_loss", "egr_heating", "volumetric_efficiency_residual"},
+             "p_es_pa": {"back_pressure", "vgt_offset"}, "p_bc_pa": {"air_filter_restriction", "compressor_flow_loss"}}
+    known = (c for c, names in apart.items() if c not in extra and name in names and not names.isdisjoint(others))
+    return next((f"a {column} sensor" for column in known), None)
 
 
 def _effects(result: PointsDiscovery) -> tuple[FoundEffect, ...]:
@@ -116,11 +128,13 @@ def _effects(result: PointsDiscovery) -> tuple[FoundEffect, ...]:
             own = next(t.shape for t in result.terms() if isinstance(t, Term) and t.effect == name)
             if own:
                 law += "; " + ", ".join(f"{key} = {value:.4g}" for key, value in own.items())
+            alike = _equivalent(item, name)
             entries.append(FoundEffect(
                 name=name, probability=_probabilities(item).get(name, 1.0) if len(item.names) == 1 else 1.0,
-                equivalent_names=_equivalent(item, name), law=law, magnitude=magnitude, std=finite(std),
+                equivalent_names=alike, law=law, magnitude=magnitude, std=finite(std),
                 unit=hypothesis.unit, valid_for=valid_for(item.found),
                 since_row=None if item.onset is None else item.onset.row,
+                split_by=_split_by(name, alike, result.calibration.model.extra),
             ))  # fmt: skip
     if result.more_is_missing:
         laws.append(result.law.text if result.law is not None else "more is missing; no law is resolved")

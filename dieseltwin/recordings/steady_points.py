@@ -153,8 +153,7 @@ class SteadyPoints:
 
     def take(self, chosen: np.ndarray) -> SteadyPoints:
         """The points of a mask or index array."""
-        columns = {name: values[chosen] for name, values in self.columns.items()}
-        return replace(self, columns=Columns(columns), row=self.row[chosen])
+        return replace(self, columns=Columns({n: v[chosen] for n, v in self.columns.items()}), row=self.row[chosen])
 
     @property
     def judged(self) -> SteadyPoints:
@@ -258,8 +257,7 @@ def once_each(points: SteadyPoints) -> SteadyPoints:
     _, first = np.unique([row.tobytes() for row in _as_rows(points)], return_index=True)
     if first.size == points.size:
         return points
-    copies = points.size - first.size
-    note = f"{copies} of {points.size} points are copies of others, digit by digit, and count once"
+    note = f"{points.size - first.size} of {points.size} points are copies of others, digit by digit, and count once"
     return replace(points.take(np.sort(first)), notes=(*points.notes, note))
 
 

@@ -57,7 +57,8 @@ def sentence(result: PointsDiscovery) -> str:
         words = magnitude_words(effect.name, float(effect.magnitude or 0.0), effect.std, effect.unit)
         phrase = EFFECTS[effect.name].phrase.format(m=words)
         site = result.rounds[0].found.twin.hypotheses[effect.name].site
-        told = f" (not told apart from {', '.join(effect.equivalent_names)})" if effect.equivalent_names else ""
+        split = f"; {effect.split_by} would" if effect.split_by else ""
+        told = f" (not told apart from {', '.join(effect.equivalent_names)}{split})" if effect.equivalent_names else ""
         since = "" if effect.since_row is None else f" since data row {effect.since_row}"
         parts.append(f"{phrase} in {site_words(site)}{since}{told}")
     before, after = result.fits_before, result.fits_after
