@@ -57,7 +57,7 @@ MOVING_ONLY = (
 )  # fmt: skip
 """Effects that a settled point can't show: they need time."""
 
-CHARGE = "charge since the reference, by the weather"
+CHARGE = "charge, by the weather"
 _WITHOUT_SIGNAL = ("T_e",)
 _TYPICAL = 0.3  # prior standard deviations of a health parameter or its wear, for differences and step limits
 _COEFFICIENT_STEP = 0.02  # of a prior standard deviation, for linear responses
@@ -207,8 +207,8 @@ class SteadyTwin(TwinDefaults):
             Nuisance(nuisance.label, response=response)
             for nuisance, response in zip(maps, nuisance_responses(lasting, lanes, simulated, maps), strict=True)
         ]
-        if (warmer := self._warmer_weather()) > 0.0:
-            warm = joined(lanes.signals, {"T_im": np.full(self.data.size, warmer / self.engine.T_im)})
+        if (warmer := self._warmer_weather()).any():
+            warm = joined(lanes.signals, {"T_im": warmer / self.engine.T_im})
             found.append(Nuisance(CHARGE, response=self.simulate(replace(lanes, signals=warm))[0] - simulated))
         free = {p.name for p in self.parameters}
         for c in self._coefficients:
@@ -219,16 +219,17 @@ class SteadyTwin(TwinDefaults):
                 found.append(Nuisance(c.name, response=(moved[0] - simulated) * c.std / step))
         return found
 
-    def _warmer_weather(self) -> float:
-        """How far the charge of the judged points may be from the reference's: as far as the weather differs [K].
+    def _warmer_weather(self) -> Array:
+        """How far the charge of each judged point may be from the usual one, as far as the weather is [K], (n,).
 
         The model's charge is one temperature, and a cooler's outlet follows the weather: without this a reference of a
-        warm day and points of a cold one are a meter that reads some per cent of air too much. 0 where it is read.
+        warm day and points of a cold one are a meter that reads some per cent of air too much, and so are two days in
+        one file, since the second. Nought where the charge is read.
         """
-        judged, ambient = self._acts > 0.5, self.data["t_amb_k"]
-        if judged.all() or not judged.any() or "t_im_k" in self.model.extra:  # it is read
-            return 0.0
-        return abs(float(np.median(ambient[judged]) - np.median(ambient[~judged])))
+        if "t_im_k" in self.model.extra:
+            return np.zeros(self.data.size)
+        ambient, well = self.data["t_amb_k"], self._acts < 0.5
+        return np.asarray(ambient - np.median(ambient[well] if well.any() else ambient))
 
     def simulate(self, lanes: Lanes) -> Array:
         """Balances that the lanes explain, whitened, (B, n, C)."""

@@ -69,8 +69,8 @@ def shares(result: PointsDiscovery) -> list[tuple[tuple[str, ...], float]]:
     """Names of each round that was taken, and the share of the misfit beyond tolerances which it takes away [-]; that
     of a later round counts in what the earlier ones left."""
     found, left = [], 1.0
-    for item in result.rounds:
-        share = _share(item)
+    for item, after in zip(result.rounds, [*result.rounds[1:], None], strict=True):
+        share = _share(item, after)
         if item.taken and share is not None:
             names = dict.fromkeys(name if name in EFFECTS else NONE_OF_THESE for name in item.names)
             found.append((tuple(names), left * share))
@@ -78,9 +78,14 @@ def shares(result: PointsDiscovery) -> list[tuple[tuple[str, ...], float]]:
     return found
 
 
-def _share(item: Round) -> float | None:
-    """Share of a round's misfit that its names take away [-]; of a name that the search itself let go: by its gain."""
+def _share(item: Round, after: Round | None) -> float | None:
+    """Share of a round's misfit that its names take away [-]; of a name that the search itself let go: by its gain, and
+    of one that begins at a point: beside what the next round sees."""
     found = item.found
+    if item.onset is not None and after is not None:
+        gain = found.gain(item.onset.fit)
+        left = max((term.held for term in after.found.everything_unnamed()), default=0.0)
+        return gain / (gain + max(left - found.settings.chance_leaves, 0.0))
     if item.onset is None and found.best is not None and found.best.fit.candidate.names == item.names:
         return found.share_explained()
     gain = max((found.gain(fit) for fit in _fits(item) if fit.candidate.names == item.names), default=0.0)
