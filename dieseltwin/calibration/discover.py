@@ -42,6 +42,7 @@ from dieseltwin.calibration.steady_twin import SteadyTwin, hypotheses_of
 from dieseltwin.discovery.laws.search import Law
 from dieseltwin.discovery.laws.sensor import best_law
 from dieseltwin.discovery.laws.terms import law_terms_of
+from dieseltwin.discovery.likelihood.fit import Fit as Fitted
 from dieseltwin.discovery.options import SearchOptions
 from dieseltwin.discovery.search import run as search
 from dieseltwin.discovery.search.preparation import tolerance_responses
@@ -90,6 +91,15 @@ class Round:
     nll: float
     taken: bool
     onset: Onset | None = None
+
+    def tried(self, count: int) -> list[tuple[str, str, Fitted, bool]]:
+        """Name, since when, fit, and whether it was taken: what begins at a point, and of the others so many that
+        lead."""
+        rest = [(name, "", fit, self.onset is None and self.taken and name in self.names)
+                for fit in self.found.singles[:count] for name in fit.candidate.names]  # fmt: skip
+        if self.onset is None:
+            return rest
+        return [(self.onset.name, f" since data row {self.onset.row}", self.onset.fit, self.taken), *rest]
 
 
 @dataclass(frozen=True)

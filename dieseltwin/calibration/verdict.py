@@ -313,7 +313,10 @@ def details(result: PointsDiscovery, asked: Mapping[str, Any]) -> dict[str, Any]
     rows = []
     for row in candidate_rows(first):
         if row["name"] in chosen:
-            row["reason"] = f"chosen in round {_round_of(result, row['name'])}: held-out points are foretold better"
+            place = _round_of(result, row["name"])
+            row["reason"] = f"chosen in round {place}: held-out points are foretold better"
+            if (onset := result.rounds[place - 1].onset) is not None:
+                row["reason"] += f" with it since data row {onset.row}"
         rows.append(dict(row))
     return plain({
         "recording_sha256": result.calibration.points.sha256,

@@ -202,9 +202,8 @@ def points_page(result: PointsDiscovery, said: Discrepancy, words: str, implied:
     )
     rounds = Table(
         ("round", "name", "gain in 2 log-likelihood", "taken"),
-        [(str(k), name_words(fit.candidate.names[0]), f"{item.found.gain(fit):.1f}",
-          "yes" if item.taken and fit.candidate.names[0] in item.names else "no")
-         for k, item in enumerate(result.rounds, 1) for fit in item.found.singles[:6]], words=(0, 1, 3),
+        [(str(k), name_words(name) + since, f"{item.found.gain(fit):.1f}", "yes" if taken else "no")
+         for k, item in enumerate(result.rounds, 1) for name, since, fit, taken in item.tried(6)], words=(0, 1, 3),
     )
     beliefs = Table(
         ("belief", "value", "std", "unit", "source"),
