@@ -39,7 +39,7 @@ from dieseltwin.errors import InputError
 from dieseltwin.notes import Note, doubts_among, of_reading, warnings_of
 from dieseltwin.recordings.channels import INPUTS, SENSORS
 from dieseltwin.recordings.reader import write_recording
-from dieseltwin.recordings.steady_points import STATES, SteadyPoints, beside_reference
+from dieseltwin.recordings.steady_points import SINCE, STATES, USUAL_CHARGE, SteadyPoints, beside_reference
 from dieseltwin.report import calibration as pages
 from dieseltwin.report import points as points_pages
 from dieseltwin.report.page import write_page
@@ -190,7 +190,7 @@ class PointsDiscovered(Discovered):
         drawings = {
             "before_after": before_after, "errors": lambda found: points_pages.over_points(found).still,
             "submodels_repaired": lambda found: points_pages.submodels(found).still,
-            "implied": lambda found: points_pages.implied_figure((used := found.calibration.points.judged).columns,
+            "implied": lambda found: points_pages.implied_figure((used := found.points.judged).columns,
                                                                  self.answers(used)),
         }  # fmt: skip
         return drawn(self.found, drawings, name)
@@ -199,7 +199,7 @@ class PointsDiscovered(Discovered):
         return details(self.found, self.asked)
 
     def _write(self, folder: Path, began: float) -> dict[str, Any]:
-        used = self.found.calibration.points.judged
+        used = self.found.points.judged
         implied = self.answers(used)
         write_repaired(self.found, folder / "repaired.yaml", self.answers)
         _beside(used, implied).to_parquet(folder / "implied.parquet", index=False)
@@ -209,11 +209,10 @@ class PointsDiscovered(Discovered):
 
     def lines(self) -> list[str]:
         tried = [
-            f"round {k}: {points_pages.name_words(name):35s} gain {item.found.gain(fit):8.1f}  {fit.magnitudes[0]:.4g} "
-            f"{item.found.twin.hypotheses[name].unit.strip('-')}"
-            f"{'  taken' if item.taken and name in item.names else ''}".rstrip()
-            for k, item in enumerate(self.found.rounds, 1) for fit in item.found.singles[:SHOWN]
-            for name in fit.candidate.names
+            f"round {k}: {points_pages.name_words(name) + since:35s} gain {item.found.gain(fit):8.1f}  "
+            f"{fit.magnitudes[0]:.4g} {item.found.twin.hypotheses[name].unit.strip('-')}"
+            f"{'  taken' if taken else ''}".rstrip()
+            for k, item in enumerate(self.found.rounds, 1) for name, since, fit, taken in item.tried(SHOWN)
         ]  # fmt: skip
         said = self.document
         since = [f"{name} {now.since_reference.text}" for name, now in said.health.items()
@@ -386,5 +385,5 @@ def outside(source: SteadyPoints, centre: np.ndarray, spread: np.ndarray) -> lis
 def _beside(points: SteadyPoints, implied: pd.DataFrame) -> pd.DataFrame:
     """The implied quantities beside what was given; an implied column stands in for a given one."""
     given: Mapping[str, np.ndarray] = {"row": points.row, **points.columns}
-    frame = pd.DataFrame(dict(given))
+    frame = pd.DataFrame({name: values for name, values in given.items() if not name.startswith((SINCE, USUAL_CHARGE))})
     return pd.concat([frame.drop(columns=[c for c in implied if c in frame]), implied], axis=1)

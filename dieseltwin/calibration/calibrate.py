@@ -212,6 +212,8 @@ def calibrate(
                      "where it was another")  # fmt: skip
     engine = _with_ambient_and_ranges(geometry, points)
     extra = tuple(name for name in EXTRA_ROWS if name in points and np.isfinite(points[name]).mean() > 0.5)
+    if "t_im_k" in extra:
+        points = points.with_usual_charge()
     model = SteadyModel(engine, extra=extra)
     free, fixed = _free(points, base, engine, valves, notes)
     if "t_im_k" in extra:  # walls heat a cold charge more, and more of it stays out: a filling of another day

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,10 +12,11 @@ from dieseltwin.arrays import Array
 from dieseltwin.engine import EngineParameters, constants
 from dieseltwin.engine.cylinder import cylinder_inflow, fuel_flow
 from dieseltwin.errors import InputError
-from dieseltwin.notes import Note
+from dieseltwin.notes import Note, counted
 from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.guess.physics import ranks_agree
 from dieseltwin.recordings.ranks import ranks
+from dieseltwin.recordings.reader import CRANKING_RPM
 from dieseltwin.recordings.steady_points import STATES, SteadyPoints, once_each
 
 FEWEST_POINTS = 20
@@ -58,7 +59,7 @@ class Actuator:
 
 
 def check_points(points: SteadyPoints, where: str, cylinders: int = 6) -> SteadyPoints:
-    """Refuse what can't be calibrated from; drop copies and rows that lack more than one reading.
+    """Refuse what can't be calibrated from; drop copies, rows that lack more than one reading, and engines at rest.
 
     Args:
         points: as read; where: name for messages; cylinders: how many the engine has.
@@ -66,7 +67,7 @@ def check_points(points: SteadyPoints, where: str, cylinders: int = 6) -> Steady
     Raises:
         InputError: too few points, columns that are swapped.
     """
-    points = points.take(np.isfinite(points.states()).sum(axis=1) >= len(STATES) - 1)
+    points = _running(points.take(np.isfinite(points.states()).sum(axis=1) >= len(STATES) - 1))
     different = np.unique(np.round(points.inputs(), _SAME_DIGITS), axis=0)
     if points.size >= FEWEST_POINTS and len(different) < FEWEST_POINTS // 2:
         raise InputError(where, f"{len(different)} different operating points in {points.size} rows",
@@ -78,6 +79,15 @@ def check_points(points: SteadyPoints, where: str, cylinders: int = 6) -> Steady
                          "the maps' coefficients", "measure more points over speed, load, EGR and VGT")
     _swapped(points, where, cylinders)
     return points
+
+
+def _running(points: SteadyPoints) -> SteadyPoints:
+    """Without points of an engine that stands, is cranked or pulled along: nothing burns in its cylinders."""
+    fired = (points["n_e_rpm"] >= CRANKING_RPM) & (points["u_delta_mg"] > 0.0)
+    if fired.all():
+        return points
+    note = f"{counted(int(np.count_nonzero(~fired)), 'point')} left out: below {CRANKING_RPM:.0f} rpm, or without fuel"
+    return replace(points.take(fired), notes=(*points.notes, note))
 
 
 def _swapped(points: SteadyPoints, where: str, cylinders: int) -> None:

@@ -26,13 +26,23 @@ from dieseltwin.calibration.coefficients import (
 )
 from dieseltwin.calibration.lasting_errors import map_corrections
 from dieseltwin.calibration.likelihood import Estimate, estimate, log_density
+from dieseltwin.calibration.onsets import Onset, onset_of
+from dieseltwin.calibration.own_pipes import BACK_PRESSURE, beside_own_pipes
 from dieseltwin.calibration.reference_engine import about_reference, told_by_reference
 from dieseltwin.calibration.scatter import Scatter, scatter_of
-from dieseltwin.calibration.steady_model import COOLED_CHARGE, COOLED_EGR, WORK_ROW, SteadyModel, term_values
+from dieseltwin.calibration.steady_model import (
+    CHARGE_OFFSET,
+    COOLED_CHARGE,
+    COOLED_EGR,
+    WORK_ROW,
+    SteadyModel,
+    term_values,
+)
 from dieseltwin.calibration.steady_twin import SteadyTwin, hypotheses_of
 from dieseltwin.discovery.laws.search import Law
 from dieseltwin.discovery.laws.sensor import best_law
 from dieseltwin.discovery.laws.terms import law_terms_of
+from dieseltwin.discovery.likelihood.fit import Fit as Fitted
 from dieseltwin.discovery.options import SearchOptions
 from dieseltwin.discovery.search import run as search
 from dieseltwin.discovery.search.preparation import tolerance_responses
@@ -41,7 +51,7 @@ from dieseltwin.discovery.twins.interface import Hypothesis
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.engine.parameters import EngineParameters
 from dieseltwin.engine.terms import OneTerm, SensorTerm, Term, corrections_in, law_terms, with_corrections
-from dieseltwin.recordings.steady_points import STATES
+from dieseltwin.recordings.steady_points import SINCE, STATES, SteadyPoints
 from dieseltwin.settings.defaults import default_search
 from dieseltwin.settings.search import PointSettings, SubmodelErrors
 
@@ -73,12 +83,23 @@ class Round:
         names: what it would add.
         nll: negative log-likelihood per held-out point with it.
         taken: whether the held-out points like it.
+        onset: where what it would add begins at a point.
     """
 
     found: Search
     names: tuple[str, ...]
     nll: float
     taken: bool
+    onset: Onset | None = None
+
+    def tried(self, count: int) -> list[tuple[str, str, Fitted, bool]]:
+        """Name, since when, fit, and whether it was taken: what begins at a point, and of the others so many that
+        lead."""
+        rest = [(name, "", fit, self.onset is None and self.taken and name in self.names)
+                for fit in self.found.singles[:count] for name in fit.candidate.names]  # fmt: skip
+        if self.onset is None:
+            return rest
+        return [(self.onset.name, f" since data row {self.onset.row}", self.onset.fit, self.taken), *rest]
 
 
 @dataclass(frozen=True)
@@ -99,6 +120,7 @@ class PointsDiscovery:
         formulations: competing models of the unmeasured places, with their estimates, for `imply`.
         seconds: wall time.
         before_law: `repaired` as it was before the law, where there is one.
+        beside_pipes: back pressure where the engine has usual pipes of its own [Pa/(kg/s)^2], where that was found.
     """
 
     calibration: Calibration
@@ -116,6 +138,7 @@ class PointsDiscovery:
     formulations: Mapping[str, tuple[SteadyModel, Estimate]]
     seconds: float
     before_law: Calibration | None = None
+    beside_pipes: float | None = None
 
     @property
     def mismatch(self) -> bool:
@@ -128,6 +151,17 @@ class PointsDiscovery:
         return bool(self.rounds) and self.rounds[-1].found.kind != "healthy" and not self.rounds[-1].taken
 
     @property
+    def points(self) -> SteadyPoints:
+        """Of the calibration, with where each effect that begins at a point acts."""
+        return self.repaired.points
+
+    @property
+    def onsets(self) -> Mapping[str, Onset]:
+        """Effects that begin at a point, by name."""
+        return {item.onset.name: item.onset for item in self.rounds
+                if item.taken and item.onset is not None and item.onset.name in self.effects}
+
+    @property
     def first(self) -> Round:
         """The first round that gave a name that is left; the very first one where none did."""
         named = (item for item in self.rounds if item.taken and not self.effects.keys().isdisjoint(item.names))
@@ -136,7 +170,8 @@ class PointsDiscovery:
     def terms(self) -> tuple[OneTerm, ...]:
         """What was found, by name or as a law, as terms of an engine file."""
         values = self.repaired.start
-        named = (_term(name, magnitude, std, values) for name, (magnitude, std) in self.effects.items())
+        named = (_term(name, magnitude, std, values) for name, (magnitude, std) in self.effects.items()
+                 if name != CHARGE_OFFSET)
         return (*named, *self.law_terms)
 
     def engine(self) -> EngineParameters:
@@ -184,19 +219,23 @@ def discover_points(calibration: Calibration, options: Options | None = None) ->
         settings = options.settings()
         found = search.run(twin, settings.asked(tuple(faded), options.seed), laws=False)
         misfit = max(found.null.fit.objective - found.twin.measured.size, 1.0)
-        added = found.names_for_round(misfit, options.search.least_explained, refused=True)
+        onset = onset_of(found, twin, options.search.onset_share)
+        added = (onset.name,) if onset is not None else \
+            found.names_for_round(misfit, options.search.least_explained, refused=True)
         if not added or len(names) + len(added) > options.search.most_effects:
             rounds.append(Round(found, (), nll, False))
             break
         more = [c for name in added for c in effect_coefficients(name, hypotheses[name], options.search.flap_spread)]
-        candidate = _refitted(there, [*free, *more], _start_of(found, added, more))
+        if onset is not None:
+            there = replace(there, points=there.points.with_columns(**{f"{SINCE}{onset.name}": onset.acts}))
+        candidate = _refitted(there, [*free, *more], _start_of(found, added, more, onset))
         vanished = _vanished(candidate, added, hypotheses, found)
         if vanished:  # the maps bend so that nothing is left of it: the search looks again without that name
             faded |= vanished
             continue
         foretold, coefficients = _held_out(candidate, [*free, *more])
         taken = foretold < nll
-        rounds.append(Round(found, added, foretold, taken))
+        rounds.append(Round(found, added, foretold, taken, onset))
         if not taken:
             break
         here, nll, trained = candidate, foretold, coefficients
@@ -219,15 +258,18 @@ def discover_points(calibration: Calibration, options: Options | None = None) ->
             before_law = here
             law, terms, here, nll, trained = proved
     if more_is_missing:
-        scatter = scatter_of(here.model, points, here.start, options.search.submodels)
+        scatter = scatter_of(here.model, here.points, here.start, options.search.submodels)
     std = here.estimate.std()
     values = here.estimate.values()
+    beside_pipes = beside_own_pipes(here, free)
+    if beside_pipes is not None:
+        std[BACK_PRESSURE] = float(np.hypot(std[BACK_PRESSURE], values[BACK_PRESSURE] - beside_pipes))
     return PointsDiscovery(
         calibration, here, tuple(rounds), {name: (values[name], std[name]) for name in names}, nll_before, nll,
         submodel_fits(calibration.model, points, mask, trained_before, calibration.estimate.discrepancy),
-        submodel_fits(here.model, points, mask, trained, here.estimate.discrepancy),
+        submodel_fits(here.model, here.points, mask, trained, here.estimate.discrepancy),
         law, terms, scatter, options, _formulations(here, free, options.search.submodels), time.perf_counter() - clock,
-        before_law,
+        before_law, beside_pipes,
     )  # fmt: skip
 
 
@@ -240,9 +282,13 @@ def _vanished(
     return {name for name in names if abs(values[name]) < max(least[name], _SIGNIFICANT * std[name])}
 
 
-def _start_of(found: Search, names: tuple[str, ...], more: list[Coefficient]) -> dict[str, float]:
+def _start_of(
+    found: Search, names: tuple[str, ...], more: list[Coefficient], onset: Onset | None
+) -> dict[str, float]:
     """Where the joint fit starts: the magnitudes of the search."""
-    at = found.best.fit if found.best is not None and found.best.fit.candidate.names == names else None
+    at = onset.fit if onset is not None else None
+    if at is None and found.best is not None and found.best.fit.candidate.names == names:
+        at = found.best.fit
     fit = at or next(f for f in [*found.singles, *found.pairs] if f.candidate.names == names)
     start = {c.name: c.mean for c in more}
     start |= dict(zip(names, (float(m) for m in fit.magnitudes), strict=True))

@@ -31,7 +31,7 @@ from dieseltwin.engine.terms import (
     law_terms,
     sensor_slot,
 )
-from dieseltwin.recordings.steady_points import JUDGED, LEAST, STATES, SteadyPoints
+from dieseltwin.recordings.steady_points import JUDGED, LEAST, SINCE, STATES, SteadyPoints
 
 ROWS = ("cylinder_flow", "turbine_flow", "turbo_power", "compressor_flow", "egr_flow", "exhaust_temperature")
 """Submodels that every set of points has, one relation each."""
@@ -57,7 +57,10 @@ SENSOR_ERROR = "reading:"
 COOLED_CHARGE, COOLED_EGR = "cooled_charge", "cooled_egr"
 """Beliefs of `imply` that say how the charge gets its temperature, in `SteadyModel.active`."""
 
-_SINCE = frozenset({*EFFECTS, *SENSOR_SLOTS, *WEAR.values()})
+CHARGE_OFFSET = "t_im_k:offset"
+"""Fault of the sensor that reads the charge. It is no sensor of the likelihood of recordings, so no slot of a term."""
+
+_SINCE = frozenset({*EFFECTS, *SENSOR_SLOTS, *WEAR.values(), CHARGE_OFFSET})
 """What may have come since a reference; coefficients and beliefs were there before."""
 
 _eq = bind("numpy")
@@ -118,7 +121,7 @@ class SteadyModel:
             engine_values["c_mlin"] = self.engine.c_mlin * engine_values["c_m1"] / self.engine.c_m[0]
         c = parameter_batch(self.engine, size=lanes, **engine_values).constants()
         t = _Terms({k: np.reshape(v, (-1, 1)) for k, v in values.items() if k not in CONSTANT_NAMES}, self.active,
-                   points.columns.get(JUDGED), {**dict.fromkeys(self.lasting), **term_values(self.before)})
+                   points.columns, {**dict.fromkeys(self.lasting), **term_values(self.before)})
         c = c._replace(**{name: getattr(c, name) * (1.0 + t(wear)) for name, wear in WEAR.items() if wear in values})
         entered = self._entered(points, values, lanes)
 
@@ -161,7 +164,8 @@ class SteadyModel:
         T_well = points.usual_charge if "t_im_k" in self.extra else None
         T_charge = t.charge_temperature(c.T_im if T_well is None else T_well, known, points)
         T_im_model = known["T_im"] = signal("T_im", T_charge)
-        T_im = self._as_read("t_im_k", points, T_im_model)
+        read = {name: t.true(name, points[name]) for name in self.extra}
+        T_im = self._as_read(read.get("t_im_k"), T_im_model)
         eta_vol = eta_vol * t.wall_heating(T_im)
         c_i = c._replace(T_im=T_im, T_amb=T_0)
         W_ei_model = _eq.cylinder_inflow(eta_vol, p_im, n_e, c_i)
@@ -204,7 +208,7 @@ class SteadyModel:
             psi = _eq.energy_transfer_coefficient(T_0, Pi_c, omega, c_c)
             pairs[WORK_ROW] = (eta_c, 0.5 * psi / t.work_coefficient(volume, Pi_c))
         for name in self.extra:
-            pairs[EXTRA_ROWS[name]] = (points[name], implied[EXTRA_ROWS[name]])
+            pairs[EXTRA_ROWS[name]] = (read[name], implied[EXTRA_ROWS[name]])
         shape = np.broadcast_shapes((lanes, points.size), x.shape[:-1])
         residual = np.stack([spread(log_ratio(*pairs[k]), shape) for k in self.rows], axis=-1)
         # The compressor's map is judged in its implicit form (A.46): solved for the flow, a flat speed line would
@@ -224,13 +228,11 @@ class SteadyModel:
         }  # fmt: skip
         return Relations(residual, pairs, quantities)
 
-    def _as_read(self, column: str, points: SteadyPoints, modelled: Any) -> Any:
+    @staticmethod
+    def _as_read(read: Any, modelled: Any) -> Any:
         """What a reading says where there is one, else what is modelled: a charge of one temperature, while the weather
         and the cooler change it by some per cent from point to point, would be errors of the filling."""
-        if column not in self.extra:
-            return modelled
-        read = points[column]
-        return np.where(np.isfinite(read), read, modelled)
+        return modelled if read is None else np.where(np.isfinite(read), read, modelled)
 
     def _entered(self, points: SteadyPoints, values: Mapping[str, Any], lanes: int) -> dict[str, Array]:
         """Signals by insertion point, with the smooth errors of maps; points without their columns are elsewhere and
@@ -309,20 +311,21 @@ class _Terms:
     """Effects, faults of sensors, wear and beliefs; numbers (B, 1), neutral where one is absent.
 
     Args:
-        judged: (n,) 1 in the points that are judged, None for all.
+        columns: of the points; those that say where something acts (`JUDGED`, `SINCE`) count, everywhere without any.
         before: name -> what was there at the time of the reference already; None: all of it.
     """
 
-    def __init__(self, values: Mapping[str, Array], active: frozenset[str], judged: Array | None,
+    def __init__(self, values: Mapping[str, Array], active: frozenset[str], columns: Mapping[str, Array],
                  before: Mapping[str, float | None]) -> None:  # fmt: skip
-        self.values, self.active, self.judged, self.before = values, active, judged, before
+        self.values, self.active, self.columns, self.before = values, active, columns, before
 
     def __call__(self, name: str, neutral: float = 0.0) -> Any:
         value = self.values.get(name, neutral)
-        if self.judged is None or name not in self.values or name not in _SINCE:
+        acts = self.columns.get(f"{SINCE}{name}", self.columns.get(JUDGED))
+        if acts is None or name not in self.values or name not in _SINCE:
             return value
         before = self.before.get(name, 0.0)
-        return value if before is None else before + self.judged * (value - before)
+        return value if before is None else before + acts * (value - before)
 
     def true(self, column: str, reading: Any) -> Any:
         """What a sensor would read without its offset and gain (reading = true (1 + g) + b)."""

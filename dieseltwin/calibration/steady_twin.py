@@ -20,12 +20,13 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dieseltwin.calibration.calibrate import Calibration
 from dieseltwin.calibration.coefficients import FLAP_COEFFICIENTS, WEAR
 from dieseltwin.calibration.lasting_errors import SUBMODEL_OF, sensor_errors
 from dieseltwin.calibration.likelihood import reading_covariance, reading_noise
-from dieseltwin.calibration.steady_model import MAP_MODE, SteadyModel, law_variables
+from dieseltwin.calibration.steady_model import CHARGE_OFFSET, MAP_MODE, SteadyModel, law_variables
 from dieseltwin.discovery.likelihood.metric import Whitening
 from dieseltwin.discovery.likelihood.nuisance import Nuisance, map_nuisances, nuisance_responses
 from dieseltwin.discovery.twins.diesel_points import POINT_FACTS
@@ -47,7 +48,7 @@ from dieseltwin.engine.quantities import ADDED_AT
 from dieseltwin.engine.terms import LAW_VARIABLES, SENSOR_SLOTS, SENSOR_UNITS
 from dieseltwin.recordings.channels import OPTIONAL_INPUTS
 from dieseltwin.recordings.noise import Noise
-from dieseltwin.recordings.steady_points import JUDGED, STATES, SteadyPoints
+from dieseltwin.recordings.steady_points import JUDGED, SINCE, STATES, SteadyPoints
 from dieseltwin.settings.search import PointSettings
 from dieseltwin.symbols import INPUT_COLUMNS
 
@@ -56,7 +57,7 @@ MOVING_ONLY = (
 )  # fmt: skip
 """Effects that a settled point can't show: they need time."""
 
-CHARGE = "charge since the reference, by the weather"
+CHARGE = "charge, by the weather"
 _WITHOUT_SIGNAL = ("T_e",)
 _TYPICAL = 0.3  # prior standard deviations of a health parameter or its wear, for differences and step limits
 _COEFFICIENT_STEP = 0.02  # of a prior standard deviation, for linear responses
@@ -64,6 +65,7 @@ _LIMIT = 30.0  # whitened balances beyond are cut: a trial state far off
 _OUTLIER, _MAD_TO_STD = 6.0, 1.4826
 _SCATTER_ROUNDS = 4
 _BELIEVED_AS = 10.0  # readings: what the belief of a balance's scatter weighs beside those of the reference
+_CHARGE_TOLERANCE, _CHARGE_LIMIT = 3.0, 60.0  # K, of interest and most, of the charge's reading
 _SENSOR_TOLERANCES = {"gain": 0.01, "offset": 0.01}  # of interest, of faults that the catalogue has no name for
 
 
@@ -102,6 +104,8 @@ class SteadyTwin(TwinDefaults):
         errors = settings.submodels
         judged = self.data.columns.get(JUDGED)
         self._acts: Array = np.ones(self.data.size) if judged is None else np.asarray(judged)
+        in_file = np.cumsum(self._acts[np.argsort(order)] > 0.5) - 1  # judged points are in the order of their file
+        self.file_rank: NDArray[np.int64] = np.where(self._acts > 0.5, in_file[order], -1)
         told = any(c.name.startswith(MAP_MODE) for c in self._coefficients)
         if told:
             self.parameters: tuple[Parameter, ...] = tuple(
@@ -203,8 +207,8 @@ class SteadyTwin(TwinDefaults):
             Nuisance(nuisance.label, response=response)
             for nuisance, response in zip(maps, nuisance_responses(lasting, lanes, simulated, maps), strict=True)
         ]
-        if (warmer := self._warmer_weather()) > 0.0:
-            warm = joined(lanes.signals, {"T_im": np.full(self.data.size, warmer / self.engine.T_im)})
+        if (warmer := self._warmer_weather()).any():
+            warm = joined(lanes.signals, {"T_im": warmer / self.engine.T_im})
             found.append(Nuisance(CHARGE, response=self.simulate(replace(lanes, signals=warm))[0] - simulated))
         free = {p.name for p in self.parameters}
         for c in self._coefficients:
@@ -215,16 +219,17 @@ class SteadyTwin(TwinDefaults):
                 found.append(Nuisance(c.name, response=(moved[0] - simulated) * c.std / step))
         return found
 
-    def _warmer_weather(self) -> float:
-        """How far the charge of the judged points may be from the reference's: as far as the weather differs [K].
+    def _warmer_weather(self) -> Array:
+        """How far the charge of each judged point may be from the usual one, as far as the weather is [K], (n,).
 
         The model's charge is one temperature, and a cooler's outlet follows the weather: without this a reference of a
-        warm day and points of a cold one are a meter that reads some per cent of air too much. 0 where it is read.
+        warm day and points of a cold one are a meter that reads some per cent of air too much, and so are two days in
+        one file, since the second. Nought where the charge is read.
         """
-        judged, ambient = self._acts > 0.5, self.data["t_amb_k"]
-        if judged.all() or not judged.any() or "t_im_k" in self.model.extra:  # it is read
-            return 0.0
-        return abs(float(np.median(ambient[judged]) - np.median(ambient[~judged])))
+        if "t_im_k" in self.model.extra:
+            return np.zeros(self.data.size)
+        ambient, well = self.data["t_amb_k"], self._acts < 0.5
+        return np.asarray(ambient - np.median(ambient[well] if well.any() else ambient))
 
     def simulate(self, lanes: Lanes) -> Array:
         """Balances that the lanes explain, whitened, (B, n, C)."""
@@ -243,7 +248,9 @@ class SteadyTwin(TwinDefaults):
         for name, magnitude in lanes.magnitudes.items():
             values[name] = self._fixed.get(name, 0.0) + magnitude
         values = {name: np.broadcast_to(value, (lanes.size,)) for name, value in values.items()}
-        return replace(self.model, signals=self._signals(lanes)).relations(self.data, self._x, values)
+        since = {f"{SINCE}{name}": self._acts * schedule for name, schedule in lanes.schedules.items()}
+        data = self.data.with_columns(**since) if since else self.data
+        return replace(self.model, signals=self._signals(lanes)).relations(data, self._x, values)
 
     def _signals(self, lanes: Lanes) -> dict[str, Array]:
         shape = (lanes.size, self.data.size)
@@ -285,4 +292,7 @@ def hypotheses_of(points: SteadyPoints, used: Sequence[str]) -> dict[str, Hypoth
             law = "reading (1 + g)" if fault == "gain" else "reading + b"
             found[slot] = Hypothesis(slot, f"sensor:{column}", law, "-" if fault == "gain" else SENSOR_UNITS[column],
                                      size, (-0.3 * level, 0.3 * level), True, (size,), "sensor")
+    if "t_im_k" in points and np.isfinite(points["t_im_k"]).any():
+        found[CHARGE_OFFSET] = Hypothesis(CHARGE_OFFSET, "sensor:t_im_k", "reading + b", "K", _CHARGE_TOLERANCE,
+                                          (-_CHARGE_LIMIT, _CHARGE_LIMIT), True, (_CHARGE_TOLERANCE,), "sensor")
     return found

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from dieseltwin.calibration.discover import PointsDiscovery, Round
 from dieseltwin.calibration.likelihood import balance_deviation
 from dieseltwin.calibration.scatter import Scatter
 from dieseltwin.calibration.steady_model import ROWS
+from dieseltwin.discovery.likelihood.fit import Fit as Fitted
 from dieseltwin.discovery.likelihood.score import minimum_detectable
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.verdict.document import (
@@ -50,11 +51,17 @@ MOST_CHI2 = 100.0  # of one balance of one point: a wild reading has a note of i
 _COLUMN = {"compressor_flow": "w_c_kg_s", "egr_flow": "w_egr_kg_s", "exhaust_temperature": "t_em_k"}
 
 
-def _probabilities(found: Search) -> dict[str, float]:
-    """Of the single names by their gains, which sum to one."""
-    gains = np.array([0.5 * found.gain(fit) for fit in found.singles])
+def _fits(item: Round) -> list[Fitted]:
+    """Of the single names of a round; of those that begin at a point where its choice does."""
+    return item.found.singles if item.onset is None else [item.onset.fit, *item.onset.others]
+
+
+def _probabilities(item: Round) -> dict[str, float]:
+    """Of the single names of a round by their gains, which sum to one."""
+    fits = _fits(item)
+    gains = np.array([0.5 * item.found.gain(fit) for fit in fits])
     weights = np.exp(np.maximum(gains - gains.max(), -60.0))
-    names = [fit.candidate.names[0] for fit in found.singles]
+    names = [fit.candidate.names[0] for fit in fits]
     return {name: float(w / weights.sum()) for name, w in zip(names, weights, strict=True)}
 
 
@@ -62,8 +69,8 @@ def shares(result: PointsDiscovery) -> list[tuple[tuple[str, ...], float]]:
     """Names of each round that was taken, and the share of the misfit beyond tolerances which it takes away [-]; that
     of a later round counts in what the earlier ones left."""
     found, left = [], 1.0
-    for item in result.rounds:
-        share = _share(item)
+    for item, after in zip(result.rounds, [*result.rounds[1:], None], strict=True):
+        share = _share(item, after)
         if item.taken and share is not None:
             names = dict.fromkeys(name if name in EFFECTS else NONE_OF_THESE for name in item.names)
             found.append((tuple(names), left * share))
@@ -71,23 +78,40 @@ def shares(result: PointsDiscovery) -> list[tuple[tuple[str, ...], float]]:
     return found
 
 
-def _share(item: Round) -> float | None:
-    """Share of a round's misfit that its names take away [-]; of a name that the search itself let go: by its gain."""
+def _share(item: Round, after: Round | None) -> float | None:
+    """Share of a round's misfit that its names take away [-]; of a name that the search itself let go: by its gain, and
+    of one that begins at a point: beside what the next round sees."""
     found = item.found
-    if found.best is not None and found.best.fit.candidate.names == item.names:
+    if item.onset is not None and after is not None:
+        gain = found.gain(item.onset.fit)
+        left = max((term.held for term in after.found.everything_unnamed()), default=0.0)
+        return gain / (gain + max(left - found.settings.chance_leaves, 0.0))
+    if item.onset is None and found.best is not None and found.best.fit.candidate.names == item.names:
         return found.share_explained()
-    gain = max((found.gain(fit) for fit in found.singles if fit.candidate.names == item.names), default=0.0)
+    gain = max((found.gain(fit) for fit in _fits(item) if fit.candidate.names == item.names), default=0.0)
     return gain / max(found.null.fit.objective - found.twin.measured.size, gain, 1.0)
 
 
 def _equivalent(item: Round, name: str) -> tuple[str, ...]:
-    """Names of the catalogue that the points can't tell from one."""
-    found = item.found
-    best = max(found.gain(fit) for fit in found.singles)
-    own = next((found.gain(fit) for fit in found.singles if fit.candidate.names == (name,)), best)
-    others = [fit.candidate.names[0] for fit in found.singles
-              if own - found.gain(fit) < found.settings.equivalent_gain and fit.candidate.names[0] not in item.names]
+    """Names of the catalogue that the points can't tell from one: what that leaves is the size of what the balances
+    can't describe, so closer names can't be told apart either."""
+    found, fits = item.found, _fits(item)
+    left = found.left[0].gain if found.left and item.onset is None else 0.0
+    reach = max(found.settings.equivalent_gain, left)
+    best = max(found.gain(fit) for fit in fits)
+    own = next((found.gain(fit) for fit in fits if fit.candidate.names == (name,)), best)
+    others = [fit.candidate.names[0] for fit in fits
+              if own - found.gain(fit) < reach and fit.candidate.names[0] not in item.names]
     return tuple(n for n in others if n in EFFECTS)
+
+
+def _split_by(name: str, others: Sequence[str], extra: Sequence[str]) -> str | None:
+    """The reading that would tell a name from the others; None where none is known."""
+    apart = {"t_c_k": {"compressor_efficiency_loss", "turbine_efficiency_loss"},
+             "t_im_k": {"charge_cooler_loss", "egr_heating", "volumetric_efficiency_residual"},
+             "p_es_pa": {"back_pressure", "vgt_offset"}, "p_bc_pa": {"air_filter_restriction", "compressor_flow_loss"}}
+    known = (c for c, names in apart.items() if c not in extra and name in names and not names.isdisjoint(others))
+    return next((f"a {column} sensor" for column in known), None)
 
 
 def _effects(result: PointsDiscovery) -> tuple[FoundEffect, ...]:
@@ -101,17 +125,21 @@ def _effects(result: PointsDiscovery) -> tuple[FoundEffect, ...]:
             if name not in EFFECTS:
                 column, _, fault = name.partition(":")
                 size = f"{magnitude:+.4g} ± {std:.2g}"
-                laws.append(f"{column}: reading (1 {size})" if fault == "gain"
-                            else f"{column}: reading {size} {hypothesis.unit}")
+                law = f"{column}: reading (1 {size})" if fault == "gain" else \
+                    f"{column}: reading {size} {hypothesis.unit}"
+                laws.append(law if item.onset is None else f"{law} since data row {item.onset.row}")
                 continue
             law = hypothesis.law
             own = next(t.shape for t in result.terms() if isinstance(t, Term) and t.effect == name)
             if own:
                 law += "; " + ", ".join(f"{key} = {value:.4g}" for key, value in own.items())
+            alike = _equivalent(item, name)
             entries.append(FoundEffect(
-                name=name, probability=_probabilities(item.found).get(name, 1.0) if len(item.names) == 1 else 1.0,
-                equivalent_names=_equivalent(item, name), law=law, magnitude=magnitude, std=finite(std),
+                name=name, probability=_probabilities(item).get(name, 1.0) if len(item.names) == 1 else 1.0,
+                equivalent_names=alike, law=law, magnitude=magnitude, std=finite(std),
                 unit=hypothesis.unit, valid_for=valid_for(item.found),
+                since_row=None if item.onset is None else item.onset.row,
+                split_by=_split_by(name, alike, result.calibration.model.extra),
             ))  # fmt: skip
     if result.more_is_missing:
         laws.append(result.law.text if result.law is not None else "more is missing; no law is resolved")
@@ -134,7 +162,7 @@ def _location(result: PointsDiscovery) -> Location:
     first = result.first
     found = first.found
     weights: dict[str, float] = {}
-    for name, probability in _probabilities(found).items():
+    for name, probability in _probabilities(first).items():
         site = found.twin.hypotheses[name].site
         weights[site] = weights.get(site, 0.0) + probability
     if first.taken:
@@ -152,9 +180,11 @@ def _location(result: PointsDiscovery) -> Location:
 
 
 def document(result: PointsDiscovery) -> Discrepancy:
-    """`discrepancy.json` of settled points: duration 0, no onset; names not of the catalogue are laws."""
+    """`discrepancy.json` of settled points: duration 0, onsets by data rows; names not of the catalogue are laws."""
     points = result.calibration.points.judged
-    first = result.rounds[0].found
+    first, onset = result.rounds[0].found, result.rounds[0].onset
+    gain = first.gain(first.singles[0]) if onset is None else \
+        first.gain(onset.fit) - first.settings.variant_gain  # what it must add for its choice
     health = _health(result)
     chi2_before, chi2_after = _chi2(result)
     made = Discrepancy(
@@ -162,7 +192,7 @@ def document(result: PointsDiscovery) -> Discrepancy:
         recording=RecordingInfo(path=str(points.path.name if points.path else "points"), sha256=points.sha256,
                                 duration_s=0.0, channels=tuple(name for name in STATES if name in points)),
         mismatch=result.mismatch,
-        p_value=float(np.clip(first.chance.p_value(first.gain(first.singles[0])), 0.0, 1.0)),
+        p_value=float(np.clip(first.chance.p_value(gain), 0.0, 1.0)),
         location=_location(result) if result.mismatch else None,
         effects=_effects(result) if result.mismatch else (),
         more_is_missing=result.more_is_missing,
@@ -178,7 +208,8 @@ def document(result: PointsDiscovery) -> Discrepancy:
         health_bias=_health_bias(first),
         provenance=Provenance(code_version=__version__, params_sha256=result.options.sha256),
     )  # fmt: skip
-    doubts = [*doubts_among(result.calibration.notes), *fit_doubts(made), *_law_notes(result, health)]
+    doubts = [*doubts_among(result.calibration.notes), *fit_doubts(made), *_law_notes(result, health),
+              *_pipe_notes(result)]  # fmt: skip
     return with_warnings(made, doubts)
 
 
@@ -254,6 +285,16 @@ def _law_notes(result: PointsDiscovery, health: Mapping[str, HealthValue]) -> li
                  "holds both", "health_or_law")] if told else []  # fmt: skip
 
 
+def _pipe_notes(result: PointsDiscovery) -> list[Note]:
+    """What a back pressure comes to where the engine has pipes of its own, which its reference doesn't show."""
+    if result.beside_pipes is None or "back_pressure" not in result.effects:
+        return []
+    found = result.effects["back_pressure"][0]
+    return [Note(f"the back pressure is {found / 1e3:.3g} kPa/(kg/s)^2 if nothing throttled the exhaust of the well "
+                 f"engine, and {result.beside_pipes / 1e3:.3g} beside usual pipes; the deviation holds both, and a "
+                 "pressure read behind the turbine would tell", "not_recorded", ("p_es_pa",))]  # fmt: skip
+
+
 def _reference(result: PointsDiscovery) -> Reference | None:
     """How many of the judged points lie within the reference's range of every input."""
     points = result.calibration.points
@@ -272,7 +313,10 @@ def details(result: PointsDiscovery, asked: Mapping[str, Any]) -> dict[str, Any]
     rows = []
     for row in candidate_rows(first):
         if row["name"] in chosen:
-            row["reason"] = f"chosen in round {_round_of(result, row['name'])}: held-out points are foretold better"
+            place = _round_of(result, row["name"])
+            row["reason"] = f"chosen in round {place}: held-out points are foretold better"
+            if (onset := result.rounds[place - 1].onset) is not None:
+                row["reason"] += f" with it since data row {onset.row}"
         rows.append(dict(row))
     return plain({
         "recording_sha256": result.calibration.points.sha256,
@@ -281,6 +325,7 @@ def details(result: PointsDiscovery, asked: Mapping[str, Any]) -> dict[str, Any]
         "candidates": rows,
         "rounds": [
             {"names": list(item.names), "taken": item.taken, "held_out_nll": item.nll, "kind": item.found.kind,
+             "since_row": None if item.onset is None else item.onset.row,
              "singles": [{"name": fit.candidate.names[0], "gain": item.found.gain(fit),
                           "magnitude": float(fit.magnitudes[0])} for fit in item.found.singles[:8]]}
             for item in result.rounds
@@ -298,7 +343,7 @@ def _round_of(result: PointsDiscovery, name: str) -> int:
 
 
 def _rmse(result: PointsDiscovery, before: bool) -> dict[str, float]:
-    points = result.calibration.points.judged
+    points = result.points.judged
     here = result.calibration if before else result.repaired
     relations = here.model.relations(points, points.states(), here.start)
     return {_COLUMN[row]: float(np.sqrt(np.nanmean((relations.measured[row] - relations.predicted[row]) ** 2)))
@@ -311,7 +356,7 @@ def _chi2(result: PointsDiscovery) -> tuple[float, float]:
     Over one deviation for all points a few small EGR flows, of which a reading tells little, made it 4 on a healthy
     engine.
     """
-    points, rows = result.calibration.points.judged, slice(len(ROWS))
+    points, rows = result.points.judged, slice(len(ROWS))
     repaired = result.repaired
     deviation = balance_deviation(repaired.model, points, repaired.start, repaired.estimate.discrepancy)[:, rows]
 
@@ -324,7 +369,7 @@ def _chi2(result: PointsDiscovery) -> tuple[float, float]:
 
 def _region(result: PointsDiscovery) -> FoundRegion:
     """The box of the points that hold most of the evidence (upper half of the gain)."""
-    points = result.calibration.points.judged
+    points = result.points.judged
     states = points.states()
     r_0 = result.calibration.model.relations(points, states, result.calibration.start).residual[0]
     r_1 = result.repaired.model.relations(points, states, result.repaired.start).residual[0]

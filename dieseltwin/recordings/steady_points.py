@@ -53,6 +53,12 @@ FEWEST_READ = 10  # points that the usual charge is told by
 JUDGED = "judged"
 """Column of 1 for points that are judged and 0 for those of the reference; without it all are judged."""
 
+USUAL_CHARGE = "usual:t_im_k"
+"""Column of the usual charge [K], which points that are taken out of those beside a reference keep."""
+
+SINCE = "since:"
+"""Begin of columns "since:<name>": 1 for judged points in which something that was found acts, 0 elsewhere."""
+
 MOVING = ("n_e_rpm", "u_delta_mg", "p_im_pa")
 FEWEST_MOVING = 30  # rows, to say that they are those of a recording
 NEAR_BESIDE_COUNTER, NEAR, VERY_NEAR = 0.15, 0.03, 0.01
@@ -106,8 +112,12 @@ class SteadyPoints:
         all points): air that a cooler left some of its compression's heat, mixed with EGR between its coolant's and the
         exhaust's temperature. On a colder day the air is colder and the coolant isn't. None where too few were read.
 
+        Points with a column of it keep that (`with_usual_charge`): without the reference nobody knows what was usual.
+
         Kept: a balance of the points asks for it thousands of times.
         """
+        if USUAL_CHARGE in self:
+            return self[USUAL_CHARGE]
         read, T_0, p_0 = self["t_im_k"], self["t_amb_k"], self["p_amb_pa"]
         p_im, W_c, W_egr, T_em = (self.columns.get(name, np.full(self.size, np.nan))
                                   for name in ("p_im_pa", "w_c_kg_s", "w_egr_kg_s", "t_em_k"))  # fmt: skip
@@ -120,6 +130,11 @@ class SteadyPoints:
         if used.sum() < FEWEST_READ:
             return None
         return np.asarray(T_0 + along @ np.linalg.lstsq(along[used], (read - T_0)[used], rcond=None)[0])
+
+    def with_usual_charge(self) -> SteadyPoints:
+        """The same with the usual charge as a column where a reference tells it, so that parts of them have it too."""
+        usual = self.usual_charge if JUDGED in self else None
+        return self if usual is None else self.with_columns(**{USUAL_CHARGE: usual})
 
     def states(self) -> np.ndarray:
         """The measured states, (n, 6) in the order of `STATES`; NaN where not measured, none below `LEAST`."""
@@ -138,8 +153,7 @@ class SteadyPoints:
 
     def take(self, chosen: np.ndarray) -> SteadyPoints:
         """The points of a mask or index array."""
-        columns = {name: values[chosen] for name, values in self.columns.items()}
-        return replace(self, columns=Columns(columns), row=self.row[chosen])
+        return replace(self, columns=Columns({n: v[chosen] for n, v in self.columns.items()}), row=self.row[chosen])
 
     @property
     def judged(self) -> SteadyPoints:
@@ -243,8 +257,7 @@ def once_each(points: SteadyPoints) -> SteadyPoints:
     _, first = np.unique([row.tobytes() for row in _as_rows(points)], return_index=True)
     if first.size == points.size:
         return points
-    copies = points.size - first.size
-    note = f"{copies} of {points.size} points are copies of others, digit by digit, and count once"
+    note = f"{points.size - first.size} of {points.size} points are copies of others, digit by digit, and count once"
     return replace(points.take(np.sort(first)), notes=(*points.notes, note))
 
 

@@ -57,8 +57,10 @@ def sentence(result: PointsDiscovery) -> str:
         words = magnitude_words(effect.name, float(effect.magnitude or 0.0), effect.std, effect.unit)
         phrase = EFFECTS[effect.name].phrase.format(m=words)
         site = result.rounds[0].found.twin.hypotheses[effect.name].site
-        told = f" (not told apart from {', '.join(effect.equivalent_names)})" if effect.equivalent_names else ""
-        parts.append(f"{phrase} in {site_words(site)}{told}")
+        split = f"; {effect.split_by} would" if effect.split_by else ""
+        told = f" (not told apart from {', '.join(effect.equivalent_names)}{split})" if effect.equivalent_names else ""
+        since = "" if effect.since_row is None else f" since data row {effect.since_row}"
+        parts.append(f"{phrase} in {site_words(site)}{since}{told}")
     before, after = result.fits_before, result.fits_after
     moved = sorted(before, key=lambda row: after[row].held_out - before[row].held_out)[:2]
     figures = ", ".join(f"{TITLES[r][0].lower()} {before[r].held_out:.1f} -> {after[r].held_out:.1f} %" for r in moved)
@@ -82,7 +84,7 @@ def name_words(name: str) -> str:
 
 def _relations(result: PointsDiscovery) -> tuple[Relations, Relations]:
     """At the judged points, without and with what was found."""
-    points = result.calibration.points.judged
+    points = result.points.judged
     states = points.states()
     before, after = (here.model.relations(points, states, here.start) for here in (result.calibration, result.repaired))
     return before, after
@@ -107,7 +109,7 @@ def over_points(result: PointsDiscovery) -> Series:
 
 def over_arguments(result: PointsDiscovery) -> Series | None:
     """Errors of the submodels that moved most over the argument of each law that was found; None without any."""
-    points, both = result.calibration.points.judged, _relations(result)
+    points, both = result.points.judged, _relations(result)
     variables = law_variables(points, {name: np.asarray(v[0]) for name, v in both[1].quantities.items()})
     variables = {**variables, **points.columns}
     moved = np.nansum(both[0].residual[0] ** 2 - both[1].residual[0] ** 2, axis=0)[: len(ROWS)]
@@ -149,7 +151,7 @@ def _argument(name: str, variables: Mapping[str, Array]) -> Array | None:
 
 def submodels(result: PointsDiscovery) -> Series:
     """Measured against predicted with what was found."""
-    points = result.calibration.points
+    points = result.points
     relations = result.repaired.model.relations(points, points.states(), result.repaired.start)
     return parity(relations, result.calibration.held_out, (
         "submodels_repaired", "Measured against predicted", "With the terms found, fitted to all points; the figures "
@@ -200,9 +202,8 @@ def points_page(result: PointsDiscovery, said: Discrepancy, words: str, implied:
     )
     rounds = Table(
         ("round", "name", "gain in 2 log-likelihood", "taken"),
-        [(str(k), name_words(fit.candidate.names[0]), f"{item.found.gain(fit):.1f}",
-          "yes" if item.taken and fit.candidate.names[0] in item.names else "no")
-         for k, item in enumerate(result.rounds, 1) for fit in item.found.singles[:6]], words=(0, 1, 3),
+        [(str(k), name_words(name) + since, f"{item.found.gain(fit):.1f}", "yes" if taken else "no")
+         for k, item in enumerate(result.rounds, 1) for name, since, fit, taken in item.tried(6)], words=(0, 1, 3),
     )
     beliefs = Table(
         ("belief", "value", "std", "unit", "source"),

@@ -116,6 +116,8 @@ class PointSettings(SearchSettings):
     map_beside_reference: PositiveFloat = Field(description="smooth error of every map that a reference is there to "
                                                 "tell, one standard deviation, at least that of the submodel [-]")
     least_explained: float = Field(ge=0, le=1, description="of the misfit that a name must explain where more is left")
+    onset_share: float = Field(gt=0, lt=0.5, description="of the judged points that must lie before a point from which "
+                               "on something is there, and behind it [-]")
     most_effects: PositiveInt = Field(description="that are named")
     flap_spread: PositiveFloat = Field(description="prior standard deviation of the exponents of the exhaust flap's "
                                        "law [-]")

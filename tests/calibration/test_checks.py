@@ -47,6 +47,15 @@ def test_twelve_points_are_too_few(few: SteadyPoints) -> None:
         check_points(few.take(np.arange(12)), "points.csv")
 
 
+def test_an_engine_at_rest_is_no_point(few: SteadyPoints) -> None:
+    """A row of the engine standing, one cranked, one pulled along without fuel."""
+    rows = np.arange(few.size)
+    changed = few.with_columns(n_e_rpm=np.where(rows < 2, 120.0 * rows, few["n_e_rpm"]),
+                               u_delta_mg=np.where(rows == 2, 0.0, few["u_delta_mg"]))  # fmt: skip
+    left = check_points(changed, "points.csv")
+    assert left.size == few.size - 3 and "3 points left out" in left.notes[-1]
+
+
 def test_one_point_sixty_times_is_refused(few: SteadyPoints) -> None:
     with pytest.raises(InputError, match="1 different operating points in 60 rows"):
         check_points(few.take(np.zeros(60, dtype=int)), "points.csv")

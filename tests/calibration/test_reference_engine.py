@@ -9,12 +9,13 @@ import pytest
 
 from dieseltwin.calibration import calibrate as module
 from dieseltwin.calibration.calibrate import Calibration, calibrate
-from dieseltwin.calibration.coefficients import WEAR
+from dieseltwin.calibration.coefficients import WEAR, wear_coefficients
 from dieseltwin.calibration.discover import Options, discover_points
 from dieseltwin.calibration.reference_engine import about_reference, told_by_reference
-from dieseltwin.calibration.steady_model import MAP_MODE, SENSOR_ERROR, SteadyModel
-from dieseltwin.calibration.steady_twin import CHARGE, SteadyTwin
-from dieseltwin.recordings.steady_points import COOLANT_K, SteadyPoints, beside_reference
+from dieseltwin.calibration.steady_model import CHARGE_OFFSET, MAP_MODE, SENSOR_ERROR, SteadyModel
+from dieseltwin.calibration.steady_twin import CHARGE, SteadyTwin, hypotheses_of
+from dieseltwin.calibration.verdict import document
+from dieseltwin.recordings.steady_points import COOLANT_K, STATES, USUAL_CHARGE, SteadyPoints, beside_reference
 from dieseltwin.settings.defaults import default_search
 from tests.calibration.simulated import GEOMETRY, TRUTH, made_points
 
@@ -108,5 +109,43 @@ def test_the_usual_charge_is_that_of_the_reference_in_the_weather_of_the_day() -
     worse = np.where(both["judged"] > 0.5, 8.0, 0.0)
     points = both.with_columns(t_amb_k=T_amb, t_im_k=usual + worse)
     assert points.usual_charge == pytest.approx(usual)
+    assert points.judged.usual_charge is None  # judged points alone don't know: they were held against one temperature
+    assert points.with_usual_charge().judged.usual_charge == pytest.approx(usual[points["judged"] > 0.5])
     few = points.with_columns(t_im_k=np.where(np.arange(points.size) < 5, points["t_im_k"], np.nan))
     assert few.usual_charge is None
+
+
+def test_an_offset_of_the_charges_sensor_is_no_warmer_charge() -> None:
+    """It acts in the judged points alone, and the cylinders fill with the charge as it is."""
+    well, judged = (made_points(TRUTH, count, 0.0, seed, u_flap_pct=100.0) for count, seed in ((30, 5), (20, 6)))
+    both = beside_reference(judged, [well])
+    read = TRUTH.T_im + np.where(both["judged"] > 0.5, 8.0, 0.0)
+    points = both.with_columns(t_im_k=read, **{USUAL_CHARGE: np.full(both.size, TRUTH.T_im)})
+    model = SteadyModel(TRUTH, extra=("t_im_k",))
+    found = {size: model.relations(points, points.states(), {CHARGE_OFFSET: size}) for size in (0.0, 8.0)}
+    rows = [model.rows.index(row) for row in ("T_im", "cylinder_flow")]
+    assert np.abs(found[0.0].residual[0, :30, rows]).max() < 1e-3 < np.abs(found[0.0].residual[0, 30:, rows]).min()
+    assert np.abs(found[8.0].residual[0, :, rows]).max() < 1e-3
+    assert CHARGE_OFFSET in hypotheses_of(points, STATES) and CHARGE_OFFSET not in hypotheses_of(both, STATES)
+
+
+def test_health_wears_by_what_is_believed_of_each() -> None:
+    """A gain of T_em took the place of an efficiency beside a cycle that had lost 7 %."""
+    std = {c.name: c.std for c in wear_coefficients()}
+    assert std[WEAR["eta_sc"]] < 0.5 * min(std[WEAR[name]] for name in ("A_egrmax", "A_vgtmax", "h_tot"))
+
+
+@pytest.mark.thorough
+def test_a_back_pressure_is_smaller_beside_the_engines_own_pipes() -> None:
+    own, more = 1.1e5, 1.0e5
+    well = made_points(TRUTH, 60, 0.004, 5, {"back_pressure": own}, u_flap_pct=100.0)
+    judged = made_points(TRUTH, 40, 0.004, 6, {"back_pressure": own + more}, u_flap_pct=100.0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "STARTS", 0)
+        points = default_search().points
+        found = discover_points(calibrate(beside_reference(judged, [well]), GEOMETRY, believed=points),
+                                Options(law_search=False, search=points))
+    magnitude, std = found.effects["back_pressure"]
+    assert found.beside_pipes is not None and found.beside_pipes < magnitude
+    assert std > magnitude - found.beside_pipes and abs(magnitude - more) < 2.0 * std
+    assert any("usual pipes" in doubt.text for doubt in document(found).warnings)

@@ -107,7 +107,8 @@ class FoundEffect(FrozenModel):
     """One thing that the twin left out: a name of the catalogue, or `none_of_these` with the law found for it, if any.
 
     `magnitude` and `std` are in `unit`; a catalogue effect has all of them (`std` null where it can't be told),
-    `none_of_these` has no magnitude. The reported set of names is `names`.
+    `none_of_these` has no magnitude. The reported set of names is `names`. `since_row`: of settled points, the data row
+    of the file from which on it is there.
     """
 
     name: Name
@@ -120,6 +121,7 @@ class FoundEffect(FrozenModel):
     valid_for: str | None = None
     split_by: str | None = None
     over_recordings: str | None = None
+    since_row: int | None = where_told(ge=1)
 
     @model_validator(mode="after")
     def _consistent(self) -> FoundEffect:
