@@ -259,12 +259,12 @@ class PetrolTwin(TwinDefaults):
     def _cooler_beside(self, b: Blocks) -> Array:
         """(n,) misfit of the cooler's balance that is to be expected with the blocks as they are without effects.
 
-        Of the middle temperatures: a charge that was warmer than it read would vary by less of itself, so that every
-        fluctuation of a healthy one would speak for an offset."""
+        With the charge's middle temperature: one that was warmer than it read would vary by less of itself, so that
+        every fluctuation of a healthy one would speak for an offset.
+        """
         raw = self.blocks
-        charge, ambient = (np.log1p((without - read) / float(np.median(read)))
-                           for read, without in ((raw.T_ic, b.T_ic), (raw.T_amb, b.T_amb)))
-        return np.asarray(ambient - charge)
+        charge = np.log1p((b.T_ic - raw.T_ic) / float(np.median(raw.T_ic)))
+        return np.asarray(np.log(b.T_amb / raw.T_amb) - charge)
 
     def _parameter_direction(self, name: str) -> Array:
         out = np.zeros(self.plain.shape)
