@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, cast
 
 import numpy as np
@@ -237,7 +237,8 @@ def _course(
     """Rounds until nothing is left that a search can tell, after a first search of what is so at a time."""
     settings, early = options.search, None
     rounds: list[Round] = []
-    errors, checked = np.zeros(0), checked_rows(recording, settings.checked_share, _onset(when))
+    none = np.zeros(0)
+    errors, checked = none, checked_rows(recording, settings.checked_share, _onset(when))
     while len(rounds) < settings.most_effects and _left(here, options):
         then = when if not rounds else None
         if rounds:
@@ -247,7 +248,7 @@ def _course(
         if not names and found.kind != "healthy" and options.law_search and then is None:
             law = _law(found)
         if not names and law is None:
-            rounds.append(Round(found, (), None, np.zeros(0), np.zeros(0), False))
+            rounds.append(Round(found, (), None, none, none, False))
             break
         if not rounds:
             errors, early = foretold(here, recording, checked)
@@ -256,7 +257,10 @@ def _course(
         later, by = foretold(candidate, recording, checked)
         taken = _foretells(later, errors, bar)
         repaired, refit = fitted(candidate, recording) if taken else (here, fit)
-        if rounds and not all(_sure(term, settings) for term in repaired.terms if term.effect in names):
+        sure = all(_sure(term, settings) for term in repaired.terms if term.effect in names)
+        if not sure and (rounds or not _foretells(later, errors, settings.gain_of_law)):
+            if not rounds:
+                rounds.append(Round(replace(found, kind="healthy", best=None), (), None, none, none, False))
             break  # what is left is nothing that has a size
         rounds.append(Round(found, names, law, errors, later, taken, by, then))
         if not taken:
