@@ -19,6 +19,7 @@ from dieseltwin.petrol.maps import BEND, FREEDOM, normal_equations, sum_roughnes
 from dieseltwin.petrol.model import (
     at_rest,
     cylinder_basis,
+    drift_basis,
     opening,
     scale_of,
     throttle_basis,
@@ -204,11 +205,23 @@ def fit_maps(signals: Signals, base: PetrolParameters, without: tuple[float, flo
     scale_ic = max(_robust_std(z[rest]), LEAST_BOOST_SCALE)
     fits.append(SubmodelFit("boost", scale_ic, scale_ic, int(rest.sum())))
     boost = Spread(base=scale_ic, tempering=_tempering(z / scale_ic, rest))
+    cooler_scale = max(base.cooler_spread.base, _beyond_drift(b.cooler, grid, kept))
     return base.model_copy(update={
         "clocks": clocks, "volumes": volumes, "cylinder": maps["cylinder"], "throttle": maps["throttle"],
         "boost_level": level, "cylinder_spread": spreads["cylinder"], "throttle_spread": spreads["throttle"],
-        "boost_spread": boost,
+        "boost_spread": boost, "cooler_spread": base.cooler_spread.model_copy(update={"base": cooler_scale}),
     }), fits
+
+
+def _beyond_drift(y: Array, grid: Grid, kept: Bool) -> float:
+    """Standard deviation of a balance (m,) about its slow drift, each piece between gaps by itself."""
+    left = []
+    for piece in np.unique(grid.piece):
+        own = kept & (grid.piece == piece)
+        if own.sum() > 1:
+            hats = drift_basis(grid.mid_s[own])
+            left.append(y[own] - hats @ np.linalg.lstsq(hats, y[own], rcond=None)[0])
+    return float(np.std(np.concatenate(left)))
 
 
 def learned_clocks_and_volumes(

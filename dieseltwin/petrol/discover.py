@@ -17,12 +17,8 @@ from dieseltwin.discovery.likelihood.fit import Fit, Linearisation
 from dieseltwin.discovery.likelihood.score import without_parameters
 from dieseltwin.discovery.options import SearchOptions
 from dieseltwin.discovery.search import run as shared
-from dieseltwin.discovery.search.alarms import raises_alarm
 from dieseltwin.discovery.search.courses import schedule_of
-from dieseltwin.discovery.search.explanations import choose
-from dieseltwin.discovery.search.preparation import recentred
-from dieseltwin.discovery.search.state import Search, set_probabilities
-from dieseltwin.discovery.search.variants import Variant
+from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.discovery.verdict.assemble import allowance, details_of_search, finite_only, fit_figures, p_value
 from dieseltwin.discovery.verdict.curves import Candidate
@@ -41,7 +37,9 @@ from dieseltwin.discovery.verdict.health_value import HealthValue
 from dieseltwin.discovery.verdict.reasons import candidate_rows
 from dieseltwin.notes import Note, listing
 from dieseltwin.petrol.blocks import BLOCK_S
-from dieseltwin.petrol.effects import LOG_PRIOR, NEEDS
+from dieseltwin.petrol.choices import began_rather, likelier_first, next_single, none_at_a_limit, one_fault_a_sensor
+from dieseltwin.petrol.effects import NEEDS
+from dieseltwin.petrol.lateness import late_channel
 from dieseltwin.petrol.parameters import PetrolParameters, PetrolTerm
 from dieseltwin.petrol.recording import COLUMNS, PetrolRecording, Signals
 from dieseltwin.petrol.renewal import alike, leading, over_time
@@ -52,7 +50,6 @@ from dieseltwin.settings.defaults import default_search
 from dieseltwin.settings.search import SearchSettings
 from dieseltwin.version import __version__
 
-AT_LIMIT = 1e-3  # of a limit: so near a size is at it
 RENEWALS = 4  # of the scatter about what was found, at most
 NEXT = ("single", "variant")  # kinds of a next finding that is said: one name; more of them are for the next discovery
 ONSET_SHARE = 0.1  # of the recording, before an effect that `minimum_detectable` speaks of
@@ -130,7 +127,8 @@ def judge(
     """The search on signals whose known effects are undone already.
 
     A second weighs less where a balance jumps. So does one in which a strong effect shows in short bursts, and then the
-    effect weighs itself down: what was found is looked for again with seconds weighed beside it.
+    effect weighs itself down: what was found is looked for again with seconds weighed beside it. So is a channel that
+    became late, which shows in nothing but jumps.
     """
     options = options or PetrolOptions()
     if options.map_tolerance is not None:
@@ -139,6 +137,11 @@ def judge(
         )
         engine = engine.model_copy(update={"tolerances": t})
     kept = twin, found = _searched(engine, signals, options)
+    late = late_channel(found, options.settings().withhold) if found.kind == "healthy" else None
+    if late is not None:
+        twin, other = _searched(engine, signals, options, [late])
+        if other.best is not None:
+            kept, found = (twin, other), other
     for _ in range(RENEWALS):
         lead = leading(found)
         if lead is None:
@@ -161,68 +164,11 @@ def _searched(
     next_single(found)
     if found.best is not None and not found.of_interest(found.best.fit):
         found.kind, found.best, found.variant = "healthy", None, None
-    _one_fault_a_sensor(found)
-    _likelier_first(found)
-    _none_at_a_limit(found)
+    one_fault_a_sensor(found)
+    likelier_first(found)
+    began_rather(found)
+    none_at_a_limit(found)
     return twin, found
-
-
-def next_single(found: Search) -> None:
-    """Where the size of the best single effect goes as soon as the tolerances are those about itself, it explained
-    nothing: the next one that raises an alarm and keeps its size."""
-    while found.kind == "single" and found.best is not None and not found.of_interest(found.best.fit):
-        rest = [fit for fit in found.singles if fit.candidate.names != found.best.fit.candidate.names]
-        if not rest or not raises_alarm(found, rest[0]):
-            return
-        found.singles = rest
-        found.best = recentred(found, rest[0])
-        set_probabilities(found, "single")
-
-
-def _one_fault_a_sensor(found: Search) -> None:
-    """Of a gain and an offset of one sensor the better one alone: known near one value they only balance each other,
-    and what both together leave says nothing of what one does."""
-
-    def of_one_sensor(fit: Fit) -> bool:
-        return len({found.twin.hypotheses[name].site for name in fit.candidate.names}) == 1
-
-    if found.kind == "pair" and found.best is not None:
-        if of_one_sensor(found.best.fit) and found.of_interest(found.singles[0]):
-            found.kind, found.best = "single", recentred(found, found.singles[0])
-            set_probabilities(found, "single")
-    elif found.refused == "pair" and of_one_sensor(found.pairs[0]) and found.of_interest(found.singles[0]):
-        found.pairs, found.refused = [fit for fit in found.pairs if not of_one_sensor(fit)], ""
-        choose(found, None)
-        if found.kind == "law":
-            found.best = None
-
-
-def _likelier_first(found: Search) -> None:
-    """Of explanations that can't be told apart the one that is likelier beforehand; all of them stay reported."""
-    if found.best is None:
-        return
-    prior = {key: sum(LOG_PRIOR.get(name, 0.0) for name in key.split(" + ")) for key in found.probabilities}
-    weights = {key: value * float(np.exp(prior[key])) for key, value in found.probabilities.items()}
-    total = sum(weights.values())
-    found.probabilities = {key: value / total for key, value in weights.items()}
-    best = max(found.equivalent, key=lambda names: found.probabilities.get(" + ".join(names), 0.0), default=())
-    pool: list[tuple[Variant | None, Fit]] = [(None, fit) for fit in (*found.singles, *found.pairs)]
-    if found.kind == "variant":
-        pool = list(found.variants)
-    likelier = next((pair for pair in pool if pair[1].candidate.names == best), None)
-    if likelier is not None and best != found.best.fit.candidate.names and found.of_interest(likelier[1]):
-        found.variant, fit = likelier
-        found.best = recentred(found, fit)
-
-
-def _none_at_a_limit(found: Search) -> None:
-    """A name whose best size is the largest that is possible explains nothing: it would be larger still."""
-    if found.best is None:
-        return
-    fit = found.best.fit
-    limits = np.array([found.twin.hypotheses[name].limits for name in fit.candidate.names])
-    if np.any((limits != 0.0) & (np.abs(fit.magnitudes[:, None] - limits) <= AT_LIMIT * np.abs(limits))):
-        found.kind, found.best, found.variant = "law", None, None
 
 
 def discover_petrol(

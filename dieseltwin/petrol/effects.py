@@ -28,10 +28,10 @@ def later(time_s: Array, values: Array, delay_s: Array | float) -> Array:
     return np.interp(np.clip(time_s - delay_s, time_s[starts][piece], time_s[ends][piece]), time_s, values)
 
 
-
 _NOZZLE = "A p_up/sqrt(R_a T_up) Psi(p_down/p_up)"
 LEAST_PRESSURE = 1e3  # Pa, what an undone offset leaves at least
 LEAST_FLOW = 1e-5  # kg/s
+MIDDLE_FLOW = 0.01  # kg/s, at which a meter whose gain bends with the flow reads right: the middle of a car's driving
 LATE_S = (-1.0, 3.0)  # s, a channel's delay; negative where the reference channel is late
 NEEDS: Mapping[str, tuple[str, ...]] = {
     "cylinder": ("w_af_kg_s", "p_im_pa", "omega_e_rad_s", "p_ic_pa", "t_ic_k"),
@@ -97,6 +97,10 @@ _ALL = (
             _offset("p_ic", LEAST_PRESSURE)),
     _effect("w_af_offset", "sensor", "sensor:w_af_kg_s", "reading = W_af + b", (1e-4, "kg/s"), (-1.2e-3, 5e-3),
             _offset("W_af", LEAST_FLOW)),
+    _effect("w_af_bend", "sensor", "sensor:w_af_kg_s", f"reading = W_af (W_af/{1e3 * MIDDLE_FLOW:g} g/s)^c",
+            (0.02, "-"), (-0.3, 0.3),
+            lambda s, m: replace(s, W_af=MIDDLE_FLOW * (s.W_af / MIDDLE_FLOW) ** (1.0 / (1.0 + m))),
+            "a gain of the W_af reading that bends by {m} with every factor e of the flow"),
     _effect("t_ic_offset", "sensor", "sensor:t_ic_k", "reading = T_ic + b", (8.0, "K"), (-60.0, 80.0), _offset("T_ic")),
     _effect("t_amb_offset", "sensor", "sensor:t_amb_k", "reading = T_amb + b", (8.0, "K"), (-60.0, 80.0),
             _offset("T_amb")),
@@ -157,17 +161,21 @@ def _shown(name: str, size: float, std: float | None = None, signed: bool = Fals
     return text.replace("-", "−")
 
 
-LOG_PRIOR: Mapping[str, float] = dict.fromkeys(("p_im_offset", "p_ic_offset", "w_af_offset", "t_ic_offset"), -3.0)
+LOG_PRIOR: Mapping[str, float] = dict.fromkeys(
+    ("p_im_offset", "p_ic_offset", "w_af_offset", "w_af_bend", "t_ic_offset"), -3.0
+)
 """Log-probability of names that a recording can't tell apart: the recordings' documentation names gains of sensors and
 a leak as what happens (Jung, Frisk, Krysander 2024); the others 0."""
 CLOCKS = ("p_im_late", "w_af_late", "throttle_late", "p_ic_late")
 """Effects that are the clock of a channel."""
-AIR_FLOW = ("w_af_gain", "w_af_offset")
+AIR_FLOW = ("w_af_gain", "w_af_offset", "w_af_bend")
 """Faults of the air-flow sensor: the balances foretell what it reads."""
 
 
 def metered(magnitudes: Mapping[str, Array], W_af: Array) -> Array:
     """What the air-flow sensor reads of a true flow [kg/s] with its faults among `magnitudes`."""
+    if "w_af_bend" in magnitudes:
+        W_af = W_af * (np.maximum(W_af, LEAST_FLOW) / MIDDLE_FLOW) ** magnitudes["w_af_bend"]
     return np.asarray(W_af * (1.0 + magnitudes.get("w_af_gain", 0.0)) + magnitudes.get("w_af_offset", 0.0))
 
 

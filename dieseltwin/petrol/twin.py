@@ -11,7 +11,6 @@ field of each map, slow drift). Scatter and its correlation are known from held-
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,14 +22,14 @@ from dieseltwin.discovery.twins.interface import (
     Hypothesis,
     Lanes,
     LawScope,
-    Parameter,
     Point,
     TwinDefaults,
     joined,
 )
 from dieseltwin.errors import InputError
 from dieseltwin.notes import Note
-from dieseltwin.petrol.blocks import Blocks, Once, blocks_of, make_grid
+from dieseltwin.petrol.believed import BALANCE_OF, healthy_parameters
+from dieseltwin.petrol.blocks import Blocks, Once, blocks_of, make_grid, window_starts
 from dieseltwin.petrol.components import LINEAR_ABOVE
 from dieseltwin.petrol.effects import AIR_FLOW, CLOCKS, HYPOTHESES, NEEDS, metered, undo_all
 from dieseltwin.petrol.jumps import with_jumps
@@ -54,7 +53,6 @@ from dieseltwin.recordings.noise import Noise, white_sigma
 from dieseltwin.recordings.unread import standstills
 from dieseltwin.settings.names import listed
 
-WINDOW_BLOCKS = 5  # an onset is tried at each window's beginning
 KEPT_SPREAD = 1.206  # standard deviation of Student's t with 4 degrees of freedom within OUTLIER scales, in scales
 SMALL_SHIFT = 1e-4  # of a map, for what misfits change by
 LEAST_DIRECTION = 0.1  # whitened length of a direction of the maps that is still carried [-]
@@ -94,13 +92,13 @@ class PetrolTwin(TwinDefaults):
         self.blocks = blocks_of(self.signals, self.grid, engine.volumes.geometry, once=self.once)
         used = [n for n in BALANCES if columns is None or set(NEEDS[n]) <= set(columns)]
         self.channels = tuple(used)
-        self.parameters = tuple(p for p in _parameters(engine) if _BALANCE_OF[p.name] in used)
+        self.parameters = tuple(p for p in healthy_parameters(engine) if BALANCE_OF[p.name] in used)
         self.states: tuple[str, ...] = ()
         self.state_scales = np.zeros(0)
         self.points: tuple[Point, ...] = POINTS
         self.hypotheses: Mapping[str, Hypothesis] = HYPOTHESES
         self.time_s = self.grid.mid_s
-        self.starts = _windows(self.grid.piece)
+        self.starts = window_starts(self.grid.piece)
         self.conditions: Mapping[str, Array] = {}
         self._known = self._maps_at(self.blocks)
         self._outside = outside(self.blocks, *engine.maps)
@@ -114,7 +112,9 @@ class PetrolTwin(TwinDefaults):
     def _scatter(self, explained: Sequence[Mapping[str, Array]]) -> Array:
         """(n, C) standard deviation of each reading, infinite where a block says nothing: as where it jumps least, as
         read and beside each of the explained effects."""
-        scales = self._scales()
+        scales = self._scales(self.blocks)
+        for effects in explained:  # a throttle that is wide open beside an effect says nothing of its size
+            scales = np.maximum(scales, self._scales(self._corrected(effects, {})))
         beside = [self._expected(effects, {}) for effects in explained]
         left = [self.plain, *(self.plain - each for each in beside)]
         out = KEPT_SPREAD * np.min([with_jumps(scales, each) for each in left], axis=0)
@@ -122,20 +122,21 @@ class PetrolTwin(TwinDefaults):
             out = np.hypot(out, noise)
         return np.asarray(out)
 
-    def _scales(self) -> Array:
-        """(n, C) scale of each reading by the calibration, infinite where a block says nothing."""
-        engine, grid, blocks = self.engine, self.grid, self.blocks
+    def _scales(self, blocks: Blocks) -> Array:
+        """(n, C) scale of each reading by the calibration, infinite where a block says nothing, with the blocks as read
+        or as they are without an effect."""
+        engine, grid = self.engine, self.grid
         unsteady = unsteadiness(self.signals, grid, blocks)
         size = len(grid.mid_s)
         scales = {
             "cylinder": scale_of(engine.cylinder_spread, unsteady),
             "throttle": scale_of(engine.throttle_spread, unsteady),
-            "boost": np.where(at_rest(blocks, grid), engine.boost_spread.base, np.inf),
+            "boost": np.where(at_rest(self.blocks, grid), engine.boost_spread.base, np.inf),
             "cooler": np.full(size, engine.cooler_spread.base),
         }
         stuck = self._stuck()
         said = {name: grid.kept & ~stuck[name] & ~self.unlearned(name) for name in self.channels}
-        if "throttle" in said:  # as read, whatever the hypothesis; nearer to p_ic its equation is a straight line
+        if "throttle" in said:  # nearer to p_ic its equation is a straight line
             said["throttle"] &= blocks.p_im <= LINEAR_ABOVE * blocks.p_ic
         return np.stack([np.where(said[name], scales[name], np.inf) for name in self.channels], axis=1)
 
@@ -230,6 +231,15 @@ class PetrolTwin(TwinDefaults):
             added = joined(added, {point: lanes.lane_signals[b]})
         return {name: size for name, size in effects.items() if np.any(size)}, added
 
+    def expected_with(self, effects: Mapping[str, Array]) -> Array:
+        """(n, C) misfits to be expected with effects, their sizes (n,)."""
+        return self._expected(effects, {})
+
+    def robust_scales(self) -> tuple[Array, Array]:
+        """(n, C) scales by the calibration alone, infinite where a block says nothing, and what divides the logarithm
+        of each balance's likelihood (C,)."""
+        return self._scales(self.blocks), self._factors()
+
     def _expected(self, effects: Mapping[str, Array], added: Mapping[str, Array], shift: float = 0.0) -> Array:
         """(n, C) misfits to be expected with effects (their sizes (n,)) and signals at points.
 
@@ -243,12 +253,22 @@ class PetrolTwin(TwinDefaults):
         late = self.blocks.W_af - b.W_af
         return self._misfits(
             metered(effects, taken_in + late), metered(effects, let_through + late), self.blocks.boost - b.boost,
-            self.blocks.cooler - b.cooler,
+            self._cooler_beside(b),
         )  # fmt: skip
+
+    def _cooler_beside(self, b: Blocks) -> Array:
+        """(n,) misfit of the cooler's balance that is to be expected with the blocks as they are without effects.
+
+        With the charge's middle temperature: one that was warmer than it read would vary by less of itself, so that
+        every fluctuation of a healthy one would speak for an offset.
+        """
+        raw = self.blocks
+        charge = np.log1p((b.T_ic - raw.T_ic) / float(np.median(raw.T_ic)))
+        return np.asarray(np.log(b.T_amb / raw.T_amb) - charge)
 
     def _parameter_direction(self, name: str) -> Array:
         out = np.zeros(self.plain.shape)
-        j = self.channels.index(_BALANCE_OF[name])
+        j = self.channels.index(BALANCE_OF[name])
         out[:, j] = throttle_zero(self.blocks, self.engine.maps[1]) if name == "throttle_zero_pct" else 1.0
         return out
 
@@ -260,11 +280,14 @@ class PetrolTwin(TwinDefaults):
 
     def _rho(self) -> Array:
         """(C,) correlation of neighbouring blocks that makes a sum as uncertain as the calibration found it."""
+        return np.asarray((self._factors() - 1.0) / (self._factors() + 1.0))
+
+    def _factors(self) -> Array:
+        """(C,) by which neighbouring blocks that are correlated count as fewer."""
         engine = self.engine
         spreads = {"cylinder": engine.cylinder_spread, "throttle": engine.throttle_spread,
                    "boost": engine.boost_spread, "cooler": engine.cooler_spread}  # fmt: skip
-        factors = np.array([spreads[name].tempering for name in self.channels])
-        return np.asarray((factors - 1.0) / (factors + 1.0))
+        return np.array([spreads[name].tempering for name in self.channels])
 
     def whitening(self) -> Whitening:
         """As `KnownErrors.whitening`: autoregressive noise whose size changes from block to block."""
@@ -370,28 +393,3 @@ class PetrolTwin(TwinDefaults):
             "omega_e": b.omega_e, "p_im": b.p_im, "p_ic": b.p_ic, "alpha": b.alpha, "Pi_th": b.p_im / b.p_ic,
             "W_af": b.W_af, "p_amb": b.p_amb, "T_ic": b.T_ic, "T_amb": b.T_amb, "t": self.time_s,
         }  # fmt: skip
-
-
-_BALANCE_OF = {
-    "eta_vol_level": "cylinder", "throttle_area_level": "throttle", "throttle_zero_pct": "throttle",
-    "boost_level": "boost", "cooler_level": "cooler",
-}  # fmt: skip
-
-
-def _parameters(engine: PetrolParameters) -> tuple[Parameter, ...]:
-    """What two healthy days differ by in the whole."""
-    t = engine.tolerances
-    stds = {"eta_vol_level": (t.cylinder_level, "-"), "throttle_area_level": (t.throttle_level, "-"),
-            "throttle_zero_pct": (t.throttle_zero_pct, "%"), "boost_level": (t.boost_level, "-"),
-            "cooler_level": (t.cooler_level, "-")}  # fmt: skip
-    return tuple(Parameter(name, 0.0, std, unit, std, bounded=False) for name, (std, unit) in stds.items())
-
-
-def _windows(piece: NDArray[np.int64]) -> NDArray[np.int64]:
-    """First block of every window of nearly WINDOW_BLOCKS; none reaches over a gap."""
-    edges = [0, *(np.flatnonzero(np.diff(piece)) + 1), len(piece)]
-    starts: list[int] = []
-    for a, b in pairwise(edges):
-        count = max(round((b - a) / WINDOW_BLOCKS), 1)
-        starts += [int(a + k * (b - a) // count) for k in range(count)]
-    return np.array(starts, dtype=np.int64)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, cast
 
 import numpy as np
@@ -27,10 +27,10 @@ from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.errors import InputError
 from dieseltwin.rigs.fitting import ROUNDS, checked_rows, fitted, fitted_otherwise, foretold
-from dieseltwin.rigs.onsets import dated, first_onset
+from dieseltwin.rigs.onsets import dated, first_course
 from dieseltwin.rigs.parameters import LawFactor, RigLaw, RigParameters, RigTerm
 from dieseltwin.rigs.recording import RigRecording
-from dieseltwin.rigs.twin import RigTwin
+from dieseltwin.rigs.twin import RigTwin, When
 from dieseltwin.settings.defaults import default_search
 from dieseltwin.settings.search import RigSettings
 
@@ -63,7 +63,7 @@ class Round:
             first part, (C,) [units of the readings]; NaN for a reading that is absent there.
         taken: whether they are good enough.
         early: the machine of `after`; None where it runs away, and where there was nothing to try.
-        onset_s: time stamp since when it is so [s]; None: from the first row on.
+        when: it is so [time stamps, s]; None: from the first row on.
     """
 
     found: Search
@@ -73,7 +73,7 @@ class Round:
     after: Array
     taken: bool
     early: RigParameters | None = None
-    onset_s: float | None = None
+    when: When | None = None
 
 
 @dataclass(frozen=True)
@@ -128,19 +128,19 @@ class RigDiscovery:
         return tuple(item for item in self.rounds if item.taken)
 
     @property
-    def onset_s(self) -> float | None:
-        """Time stamp since when the first finding is so [s]; None: from the first row on, and where there is none."""
-        return self.rounds[0].onset_s if self.taken else None
+    def when(self) -> When | None:
+        """When the first finding is so [time stamps, s]; None: from the first row on, and where there is none."""
+        return self.rounds[0].when if self.taken else None
 
     @property
     def begun(self) -> tuple[str, ...]:
-        """Names of what is so since the onset; none where there is no onset."""
-        return () if self.onset_s is None else self.rounds[0].names
+        """Names of what is so then only; none where all is so from the first row on."""
+        return () if self.when is None else self.rounds[0].names
 
     @property
     def checked(self) -> slice:
         """The rows that judged what was found."""
-        return checked_rows(self.recording, self.options.search.checked_share, self.onset_s)
+        return checked_rows(self.recording, self.options.search.checked_share, _onset(self.when))
 
     @property
     def more_is_missing(self) -> bool:
@@ -165,7 +165,7 @@ def discover_rig(recording: RigRecording, rig: RigParameters, options: Options |
     except np.linalg.LinAlgError:
         raise InputError(recording.path, f"no fit of {rig.name} that stays finite", "a recording of this machine",
                          "check the columns' units, or shorten the file's window_s") from None
-    found, midway = _searched(before, fit.residual, recording, options), first_onset(fit, settings, options.withhold)
+    found, midway = _searched(before, fit.residual, recording, options), first_course(fit, settings, options.withhold)
     course = _best_course(before, fit, recording, options, found, midway)
     otherwise = fitted_otherwise(before, recording)
     seconds = time.perf_counter() - began
@@ -190,7 +190,7 @@ def _best_course(
     def begun(midway: Linearisation) -> _Course | None:
         """The course with an onset; None where it finds nothing, or runs away with it."""
         try:
-            course = _course(before, fit, recording, options, *_since(midway, options))
+            course = _course(before, fit, recording, options, *_then(midway, options))
         except np.linalg.LinAlgError:
             return None
         return course if course.finds else None
@@ -232,33 +232,37 @@ def _ahead(fit: Linearisation, course: _Course, measure: Linearisation, settings
 
 def _course(
     here: RigParameters, fit: Linearisation, recording: RigRecording, options: Options, found: Search,
-    onset_s: float | None = None,
+    when: When | None = None,
 ) -> _Course:  # fmt: skip
-    """Rounds until nothing is left that a search can tell, after a first search of what is so since a time."""
+    """Rounds until nothing is left that a search can tell, after a first search of what is so at a time."""
     settings, early = options.search, None
     rounds: list[Round] = []
-    errors, checked = np.zeros(0), checked_rows(recording, settings.checked_share, onset_s)
+    none = np.zeros(0)
+    errors, checked = none, checked_rows(recording, settings.checked_share, _onset(when))
     while len(rounds) < settings.most_effects and _left(here, options):
-        since = onset_s if not rounds else None
+        then = when if not rounds else None
         if rounds:
             found = _searched(here, fit.residual, recording, options)
         names = found.names_for_round(found.null.fit.objective, settings.least_explained)
         law = None
-        if not names and found.kind != "healthy" and options.law_search and since is None:
+        if not names and found.kind != "healthy" and options.law_search and then is None:
             law = _law(found)
         if not names and law is None:
-            rounds.append(Round(found, (), None, np.zeros(0), np.zeros(0), False))
+            rounds.append(Round(found, (), None, none, none, False))
             break
         if not rounds:
             errors, early = foretold(here, recording, checked)
-        candidate = _with(here, found, names, law, since)
+        candidate = _with(here, found, names, law, then)
         bar = settings.gain_of_law if law is not None else settings.loss_of_name
         later, by = foretold(candidate, recording, checked)
         taken = _foretells(later, errors, bar)
         repaired, refit = fitted(candidate, recording) if taken else (here, fit)
-        if rounds and not all(_sure(term, settings) for term in repaired.terms if term.effect in names):
+        sure = all(_sure(term, settings) for term in repaired.terms if term.effect in names)
+        if not sure and (rounds or not _foretells(later, errors, settings.gain_of_law)):
+            if not rounds:
+                rounds.append(Round(replace(found, kind="healthy", best=None), (), None, none, none, False))
             break  # what is left is nothing that has a size
-        rounds.append(Round(found, names, law, errors, later, taken, by, since))
+        rounds.append(Round(found, names, law, errors, later, taken, by, then))
         if not taken:
             break
         here, fit, errors = repaired, refit, later
@@ -276,8 +280,12 @@ def _sure(term: RigTerm, settings: RigSettings) -> bool:
     return term.std is None or abs(term.magnitude) > settings.second_size_std * term.std
 
 
-def _since(midway: Linearisation, options: Options) -> tuple[Search, float]:
-    """The search of what begins with an effect, and that time [s], moved until it is that of what is named."""
+def _onset(when: When | None) -> float | None:
+    return None if when is None else when.onset_s
+
+
+def _then(midway: Linearisation, options: Options) -> tuple[Search, When]:
+    """The search of what acts when an effect does, and that time, moved until it is that of what is named."""
     settings, twin = options.search, cast(RigTwin, midway.twin).about(midway.residual)
     near = [midway.fit]
     for _ in range(_DATINGS):
@@ -286,11 +294,11 @@ def _since(midway: Linearisation, options: Options) -> tuple[Search, float]:
         if not names:
             break
         moved = dated(cast(RigTwin, found.twin), found.whitening, _explanation(found, names), settings)
-        if cast(RigTwin, moved.twin).since_s == twin.since_s:
+        if cast(RigTwin, moved.twin).when == twin.when:
             break
         twin = cast(RigTwin, moved.twin).about(moved.residual)
         near.append(moved.fit)
-    return found, cast(float, cast(RigTwin, found.twin).since_s)
+    return found, cast(When, cast(RigTwin, found.twin).when)
 
 
 def _left(rig: RigParameters, options: Options) -> set[str]:
@@ -354,7 +362,7 @@ def _law(found: Search) -> Law | None:
 
 
 def _with(
-    rig: RigParameters, found: Search, names: tuple[str, ...], law: Law | None, onset_s: float | None = None
+    rig: RigParameters, found: Search, names: tuple[str, ...], law: Law | None, then: When | None = None
 ) -> RigParameters:
     """The machine with what a round found, parameters as the search left them."""
     if law is not None:
@@ -366,7 +374,7 @@ def _with(
     parameters = {name: p.model_copy(update={"value": float(value)})
                   for (name, p), value in zip(rig.parameters.items(), at.parameters, strict=False)}
     sha256 = cast(RigTwin, found.twin).recording.sha256
-    when: dict[str, Any] = {} if onset_s is None else {"onset_s": onset_s, "found_in": sha256}
+    when: dict[str, Any] = {} if then is None else {**vars(then), "found_in": sha256}
     terms = (*rig.terms, *(RigTerm(effect=name, magnitude=sizes[name], **when) for name in names))
     return rig.model_copy(update={"parameters": parameters, "terms": terms})
 

@@ -15,7 +15,7 @@ from dieseltwin.discovery.laws.twin import Placed
 from dieseltwin.rigs.expressions import names_in, usable
 from dieseltwin.sealed import sealed_text
 from dieseltwin.settings.names import close_names, listed
-from dieseltwin.settings.strict import StrictModel, read_mapping, validate
+from dieseltwin.settings.strict import StrictModel, read_mapping, validate, where_told
 
 KIND = "rig"
 
@@ -63,12 +63,15 @@ class RigEffect(StrictModel):
 
 
 class RigTerm(StrictModel):
-    """An effect that was found; in every other recording than `found_in` it acts from the first row on."""
+    """An effect that was found; in every other recording than `found_in` it acts from the first row on: not at all if
+    it was gone again."""
 
     effect: str
     magnitude: float
     std: NonNegativeFloat | None = None
     onset_s: float | None = Field(None, description="time stamp since when it acts in `found_in`; None: always")
+    until_s: float | None = where_told(description="before when it acts there; None: to the end")
+    grown_s: float | None = where_told(description="until when it grows evenly there, from nothing; None: at once")
     found_in: str = Field("", description="SHA-256 of the recording that it was found in")
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from copy import copy
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
@@ -19,12 +19,27 @@ from dieseltwin.discovery.likelihood.metric import Whitening
 from dieseltwin.discovery.likelihood.nuisance import Nuisance
 from dieseltwin.discovery.twins.interface import Array, Hypothesis, Lanes, Parameter, Point
 from dieseltwin.discovery.twins.simple import LawTerm, Model, SimpleTwin
+from dieseltwin.engine.courses import course
 from dieseltwin.recordings.noise import Noise
 from dieseltwin.rigs.expressions import moment
-from dieseltwin.rigs.parameters import RigParameters
+from dieseltwin.rigs.parameters import RigParameters, RigTerm
 from dieseltwin.rigs.recording import RigRecording
 
 WIDE = 3.0  # tolerances of an effect that was found: what is believed of its size when it is fitted again
+
+
+@dataclass(frozen=True)
+class When:
+    """When an effect acts: since its onset, before its end if it has one; it may grow evenly from nothing to the end of
+    the recording [s]."""
+
+    onset_s: float
+    until_s: float | None = None
+    grown_s: float | None = None
+
+    def share(self, time_s: Array) -> Array:
+        """(n,) share of its size at some times (n,) [s]."""
+        return course(time_s, self.onset_s, self.until_s, self.grown_s)
 
 
 def model_of(rig: RigParameters) -> Model:
@@ -81,7 +96,7 @@ class RigTwin(SimpleTwin):
 
     Attributes:
         misfit: (C,) size that counts as noise [units of the readings]; see `about`.
-        since_s: all effects that are looked for act since then [s]; None: always. See `since`.
+        when: all effects that are looked for act then; None: always. See `acting`.
     """
 
     exact_responses = True  # integrated with steps far below what any force changes in
@@ -93,7 +108,7 @@ class RigTwin(SimpleTwin):
         self._laws: dict[str, list[LawTerm]] = {}
         super().__init__(model_of(rig), recording.time_s, recording.inputs, measured, window_s)
         self.rig, self.recording, self.window_s = rig, recording, window_s
-        self.since_s: float | None = None
+        self.when: When | None = None
         self._begun = {len(rig.parameters) + k: term for k, term in enumerate(rig.terms) if term.onset_s is not None}
         self.floors = np.array([rig.floors.get(name, 0.0) for name in rig.readings])
         steps = np.diff(measured, axis=0)
@@ -115,10 +130,10 @@ class RigTwin(SimpleTwin):
         twin.misfit = np.maximum(size, self.floors)
         return twin
 
-    def since(self, onset_s: float) -> RigTwin:
-        """The same twin, in which all effects that are looked for begin at a time [s]."""
+    def acting(self, when: When) -> RigTwin:
+        """The same twin, in which all effects that are looked for act then."""
         twin = copy(self)
-        twin.since_s = onset_s
+        twin.when = when
         return twin
 
     def noise(self) -> Noise:
@@ -144,21 +159,22 @@ class RigTwin(SimpleTwin):
 
     def _entering(self, lanes: Lanes) -> Lanes:
         """Lanes with the times at which effects act."""
-        if self.since_s is None and not self._begun:
+        if self.when is None and not self._begun:
             return lanes
         magnitudes, schedules = dict(lanes.magnitudes), dict(lanes.schedules)
-        if self.since_s is not None:
-            acts = self._acts(self.since_s)
+        if self.when is not None:
+            acts = self.when.share(self.time_s)
             schedules = {name: acts * schedules.get(name, 1.0) for name in magnitudes}
         for column, term in self._begun.items():
             magnitudes[term.effect] = lanes.parameters[:, column]
-            here = term.onset_s is not None and term.found_in == self.recording.sha256
-            schedules[term.effect] = self._acts(term.onset_s if here else None)
+            schedules[term.effect] = self._acts(term)
         return replace(lanes, magnitudes=magnitudes, schedules=schedules)
 
-    def _acts(self, onset_s: float | None) -> Array:
-        """1.0 at the samples (n,) from a time [s] on, else 0.0."""
-        return np.asarray(np.ones(len(self.time_s)) if onset_s is None else self.time_s >= onset_s, dtype=np.float64)
+    def _acts(self, term: RigTerm) -> Array:
+        """Share of its size that a term has at the samples (n,)."""
+        if term.onset_s is not None and term.found_in == self.recording.sha256:
+            return When(term.onset_s, term.until_s, term.grown_s).share(self.time_s)
+        return np.full(len(self.time_s), float(term.until_s is None))
 
     def _with_own(self, laws: Mapping[str, list[LawTerm]]) -> dict[str, list[LawTerm]]:
         return {name: [*self._laws.get(name, ()), *laws.get(name, ())] for name in {**self._laws, **laws}}

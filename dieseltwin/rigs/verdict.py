@@ -60,7 +60,7 @@ def document(result: RigDiscovery) -> Discrepancy:
                                 duration_s=float(recording.time_s[-1] - recording.time_s[0]),
                                 channels=tuple(recording.readings)),
         mismatch=bool(entries), p_value=p_value(first.found) if entries else 1.0,
-        location=_location(first, result.onset_s) if entries else None,
+        location=_location(result, first) if entries else None,
         effects=entries, more_is_missing=result.more_is_missing,
         health={name: HealthValue(value=p.value, std=p.std, before=before[name].value) for name, p in after.items()},
         fit=_fit(result),
@@ -165,8 +165,8 @@ def _effects(result: RigDiscovery) -> tuple[FoundEffect, ...]:
     return tuple(entries)
 
 
-def _location(first: Round, onset_s: float | None) -> Location:
-    """Where the first finding sits, with its rivals, and since when it is so."""
+def _location(result: RigDiscovery, first: Round) -> Location:
+    """Where the first finding sits, with its rivals, and when it is so."""
     if first.law is not None:
         return Location(site=first.law.site, probability=1.0)
     if first.found.probabilities:
@@ -175,7 +175,11 @@ def _location(first: Round, onset_s: float | None) -> Location:
         weights = {first.found.twin.hypotheses[first.names[0]].site: 1.0}
     else:
         weights = {first.found.structure[0].feature.site: 1.0}
-    return ranked_location(weights, onset_s=onset_s)
+    when = result.when
+    if when is None:
+        return ranked_location(weights)
+    onset_s = when.onset_s if when.onset_s > result.recording.time_s[0] else None
+    return ranked_location(weights, onset_s=onset_s, until_s=when.until_s, grows=when.grown_s is not None)
 
 
 def _fit(result: RigDiscovery) -> Fit:
@@ -266,7 +270,7 @@ def details(result: RigDiscovery, asked: Mapping[str, Any]) -> dict[str, Any]:
         **details_of_search(first, rows, first.best),
         "rounds": [
             {"names": list(item.names), "law": None if item.law is None else item.law.text, "taken": item.taken,
-             **({} if item.onset_s is None else {"onset_s": item.onset_s}),
+             **({} if item.when is None else {key: at for key, at in vars(item.when).items() if at is not None}),
              "run_error_before": item.before, "run_error_after": item.after, "kind": item.found.kind}
             for item in result.rounds
         ],

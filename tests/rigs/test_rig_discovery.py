@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from functools import cache
 from typing import Any
 
 import numpy as np
 import pandas as pd
+import pytest
 
 import dieseltwin as dt
 from dieseltwin.rigs.parameters import RigParameters
@@ -24,8 +27,11 @@ CART: dict[str, Any] = {
 }  # fmt: skip
 
 
-def driven(mass: float = 1.5, n: int = 900, drag: float = 2.0, grown: float = 0.0) -> pd.DataFrame:
-    """Samples every 0.05 s, integrated here in small steps; drag grows by `grown` until the end."""
+def driven(
+    mass: float = 1.5, n: int = 900, drag: float = 2.0, grown: float = 0.0, course: Callable[[float], float] = float
+) -> pd.DataFrame:
+    """Samples every 0.05 s, integrated here in small steps; drag grows by `grown` times its course over the recording,
+    from 0 to 1."""
     rng, parts, step = np.random.default_rng(1), 40, 0.05
     force = np.interp(np.arange(n), np.arange(0, n + 40, 20), rng.uniform(-8.0, 8.0, n // 20 + 2))
     v, rows = 0.0, []
@@ -33,7 +39,7 @@ def driven(mass: float = 1.5, n: int = 900, drag: float = 2.0, grown: float = 0.
         rows.append((k * step, force[k], v + 0.004 * rng.standard_normal()))
         for share in (np.arange(parts) + 0.5) / parts:
             now = force[k] + share * (force[min(k + 1, n - 1)] - force[k])
-            v += step / parts * (now - (drag + grown * k / n) * v) / mass
+            v += step / parts * (now - (drag + grown * course(k / n)) * v) / mass
     return pd.DataFrame(rows, columns=["time_s", "force_n", "v_m_s"])
 
 
@@ -57,9 +63,18 @@ def test_a_sensor_that_is_absent_in_the_judged_part_keeps_no_finding_back() -> N
     assert "nan" not in found.sentence
 
 
+def test_wear_that_grows_is_told_as_such() -> None:
+    found = dt.discover(driven(grown=1.0), rig())
+    (effect,), location = found.document.effects, found.document.location
+    assert effect.name == "worn" and effect.magnitude == pytest.approx(1.0, rel=0.05) and location is not None
+    assert location.grows and "grown evenly from nothing" in found.sentence
+    (term,) = found.engine.terms
+    assert term.grown_s == pytest.approx(44.95) and term.onset_s == pytest.approx(0.0, abs=2.0)
+
+
 def test_a_name_that_leaves_several_times_the_noise_says_so() -> None:
-    """Nothing grows by the rigs' grammar: wear that does is met by its mean."""
-    found = dt.discover(driven(grown=4.0), rig())
+    """Wear that comes and goes three times is met by its mean."""
+    found = dt.discover(driven(grown=4.0, course=lambda share: math.sin(3.0 * math.pi * share) ** 2), rig())
     assert "worn" in [effect.name for effect in found.document.effects]
     (doubt,) = [item for item in found.document.warnings if item.code == "residuals"]
     assert doubt.affects == ("v_m_s",) and "times its noise" in doubt.text

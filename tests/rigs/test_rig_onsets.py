@@ -104,6 +104,21 @@ def test_a_term_acts_since_its_onset_where_it_was_found_only(tmp_path: Path) -> 
     assert np.allclose(shown[1], np.where(recording.time_s >= 12.0, 0.3, 0.0))
 
 
+def test_a_fault_that_goes_again_has_both_its_times(tmp_path: Path) -> None:
+    table = recorded(0.0, 0.0)
+    table["level"] += 0.05 * ((table.time_s >= 20.0) & (table.time_s < 33.0))
+    result = dt.discover(table, engine=RIG)
+    (effect,), location = result.document.effects, result.document.location
+    assert effect.name == "offset" and effect.magnitude == pytest.approx(0.05, abs=0.004) and location is not None
+    assert location.onset_s == pytest.approx(20.0, abs=0.5) and location.until_s == pytest.approx(33.0, abs=0.5)
+    result.save(tmp_path / "found")
+    (term,) = load_rig(tmp_path / "found" / "engine.yaml").terms
+    assert term.until_s == location.until_s and term.grown_s is None
+    other = read_rig(recorded(0.0, 0.0, 20.0), result.engine)
+    frame = simulate_rig(result.engine, other)
+    assert not np.any(frame["level"] - frame["h"])  # gone again: in another recording it isn't there
+
+
 def test_what_a_recording_says_nothing_of_stands_still() -> None:
     information = np.array([[4.0, 0.0, 2.0], [0.0, 0.0, 0.0], [2.0, 0.0, 9.0]])
     covariance = covariance_of(information)
