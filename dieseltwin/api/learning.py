@@ -348,8 +348,9 @@ def _far_off(known: LearnedEngine) -> list[str]:
         return []
     return [
         f"the map of {off.point} is corrected by {100 * off.corrected:.0f} % rms where {100 * known.map_rms:g} %"
-        " is believed: another engine than the base, a sensor that reads wrongly or a fault in the reference; where "
-        f"the maps may be off by so much, --map-error {min(off.corrected, MAP_ERRORS[1]):.2f} says so"
+        " was believed before it was recorded: another engine than the base, a sensor that reads wrongly or a fault in "
+        "the reference; where the maps may be off by so much, --map-error "
+        f"{min(off.corrected, MAP_ERRORS[1]):.2f} says so"
     ]
 
 

@@ -14,6 +14,7 @@ from dieseltwin.errors import InputError
 Rows = NDArray[np.float64]
 
 MOST_SHARED = 0.01  # of the rows with the reference: readings at rest may repeat
+_DIGITS = 4  # significant; converters write five or more
 
 
 class Hashed(Protocol):
@@ -44,12 +45,20 @@ def distinct(recordings: Sequence[H]) -> tuple[H, ...]:
 
 
 def share_known(rows: Rows, known: Iterable[Rows]) -> float:
-    """Share of rows (n, C) that stand, to the bit, among others of the same C columns, 0-1.
+    """Share of rows (n, C) that stand, to four digits, among others of the same C columns, 0-1.
 
+    To the bit a recording that was exported once more, with fewer digits or in other units, would be another one.
     Rows that are alike count once: an engine that stands gives the same row over and over.
     """
-    own = {row.tobytes() for row in rows}
-    return len(own & {row.tobytes() for others in known for row in others}) / max(len(own), 1)
+    own = {row.tobytes() for row in _to_digits(rows)}
+    return len(own & {row.tobytes() for others in known for row in _to_digits(others)}) / max(len(own), 1)
+
+
+def _to_digits(rows: Rows) -> Rows:
+    """Values to `_DIGITS` significant digits, one kind of zero and of missing."""
+    size = np.floor(np.log10(np.maximum(np.abs(rows), 1e-300)))  # NaN stays NaN
+    step = 10.0 ** (size - (_DIGITS - 1))
+    return np.ascontiguousarray(np.where(np.isnan(rows), np.nan, np.round(rows / step) * step + 0.0))
 
 
 def refuse_overlapping(recordings: Sequence[R], share: Callable[[Sequence[R], R], float], first: int = 0) -> None:

@@ -283,7 +283,7 @@ def _left_words(document: Discrepancy) -> list[str]:
                      if any(effect.named for effect in document.effects) else f"more is missing{amount}")  # fmt: skip
     elif much:
         whose = ("more than maps and sensors within their tolerances would leave, so sizes and names may be off"
-                 if document.fit.beyond_tolerances else "as the maps' tolerances allow")  # fmt: skip
+                 if document.fit.beyond_tolerances else "which maps off within their tolerances explain")  # fmt: skip
         parts.append(f"{left:.2f} of chi-square per sample is left where noise leaves 1, {whose}")
     return parts
 
@@ -352,8 +352,7 @@ def _healthy(document: Discrepancy) -> str:
         text = (f"Nothing is missing that {these(len(document.recordings))} could show ({p_value}): noise, the four "
                 "health parameters and the tolerances of the maps explain it")
     if small is not None:
-        rivals = [name.replace("_", " ") for name in small.equivalent_names]
-        others = f" (or {listing(rivals, 'or')})" if rivals else ""
+        others = f" (or {listing(small.equivalent_names, 'or')})" if small.equivalent_names else ""
         text += f"; what explains it best is {effect_words(small)}{others}, too small to be of interest"
     if document.fit.beyond_tolerances and not beyond:
         text += (f", though not all of it: {document.fit.chi2_per_sample_after:.2f} of chi-square per sample is left"

@@ -328,8 +328,13 @@ def _report(
     last = tuple(
         _as_found(q, float(c), s) for q, (c, s) in zip(law.laws, law.values(lin.fit.parameters), strict=True)
     )
-    text = " + ".join(
-        law_text(twin, q.form, q.coefficient, std=std if k == 0 else None) for k, q in enumerate(last)
+    others = [
+        abs(size if placed.form.fixed is None else shape)
+        for placed, (size, shape) in zip(law.laws[1:], law.values(lin.fit.std)[1:], strict=True)
+    ]
+    text = "; ".join(
+        law_text(twin, placed.form, placed.coefficient, std=deviation)
+        for placed, deviation in zip(last, [std, *others], strict=True)
     )
     curve = _curve(twin, at, law, lin, variables, argument, std / max(abs(coefficient), 1e-300))
     return Law(

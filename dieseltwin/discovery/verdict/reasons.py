@@ -76,7 +76,7 @@ def _reason(
 ) -> str:
     hypothesis = found.twin.hypotheses[name]
     size = abs(magnitude) / hypothesis.tolerance
-    half = 0.5 * gain
+    half = 0.5 * gain if abs(gain) >= 0.1 else 0.0  # never "-0.0"
     if name in chosen:
         return f"chosen: it raises the log-likelihood by {half:.1f} at {size:.2g} times its size of interest"
     if name in equivalent:
