@@ -228,12 +228,17 @@ NO_CORRECTIONS = MapCorrections(np.zeros((0, NODES, NODES)), _LOW, _PER_UNIT)
 
 
 def corrections_of(coefficients: np.ndarray) -> MapCorrections:
-    """Corrections from coefficients (K,) of `basis()` [-]."""
-    functions = basis()
+    """Corrections from coefficients (K,) of `basis()` [-]; nobody writes into them, they are shared."""
+    return _corrections_of(np.asarray(coefficients, dtype=np.float64).tobytes())
+
+
+@lru_cache(maxsize=8)  # a search asks for those of one engine along every trajectory
+def _corrections_of(coefficients: bytes) -> MapCorrections:
+    functions, values = basis(), np.frombuffer(coefficients)
     tables = np.zeros((len(GRIDS), NODES, NODES))
     for m in range(len(tables)):
         at = functions.grids == m
-        tables[m] = np.tensordot(np.asarray(coefficients)[at], functions.tables[at], 1)
+        tables[m] = np.tensordot(values[at], functions.tables[at], 1)
     return MapCorrections(tables if tables[OF_RATIO].any() else tables[:OF_RATIO], _LOW, _PER_UNIT)
 
 

@@ -127,13 +127,21 @@ def refit_all_laws(
 
 
 class _Slopes:
-    """Columns of one candidate in the metric, and its Newton step."""
+    """Columns of one candidate in the metric, and its Newton step.
 
-    def __init__(self, at: Linearisation, own: Array, parameters: int, precision: Array, nominal: Array) -> None:
-        self.at, self.precision, self.nominal = at, precision, nominal
-        own = np.clip(own, -_LARGEST, _LARGEST)  # a candidate that diverges takes no step
-        self.columns = np.concatenate([at.jacobian[:parameters], own])
-        self.projected = np.concatenate([at.projected[:parameters], at.metric.project(np.nan_to_num(own))])
+    Args:
+        at: linearisation that gives metric and slopes of the parameters.
+        own: responses (m, n, C) to the candidate's terms, and projected: (m, rows) in the metric.
+        precision, nominal: (P + m,) of the priors of parameters and terms.
+    """
+
+    def __init__(
+        self, at: Linearisation, own: Array, projected: Array, precision: Array, nominal: Array
+    ) -> None:
+        known = len(precision) - len(own)
+        self.precision, self.nominal = precision, nominal
+        self.columns = np.concatenate([at.jacobian[:known], own])
+        self.projected = np.concatenate([at.projected[:known], projected])
         self._invert()
 
     def _invert(self) -> None:
@@ -160,9 +168,9 @@ class _Slopes:
             self.projected = self.projected - np.outer(weight / length, missed)
             self._invert()
 
-    def local(self, twin: Twin, local: Array, residual: Array, change: Array, shrink: float) -> Array:
-        rest = residual - np.tensordot(change / shrink, self.columns, 1)
-        return bounded(twin, local + shrink * self.at.metric.local_step(self.at.without_nuisances(rest)))
+    def rest(self, residual: Array, change: Array) -> Array:
+        """What a change (P + m,) leaves of a residual (n, C)."""
+        return residual - np.tensordot(change, self.columns, 1)
 
 
 def _refit_inside(twin: Twin, at: Linearisation, before: float, item: Ranked) -> Refit:
@@ -180,7 +188,8 @@ def _refit_inside(twin: Twin, at: Linearisation, before: float, item: Ranked) ->
         return Refit(item, law, fit, -np.inf)
     own = (simulated[1:] - simulated[0]) / steps[:, None, None]
     nominal = np.array([p.value for p in law.parameters])
-    slopes = _Slopes(at, own, known, prior_precision(law, 0), nominal)
+    own = np.clip(own, -_LARGEST, _LARGEST)  # a candidate that diverges takes no step
+    slopes = _Slopes(at, own, at.metric.project(np.nan_to_num(own)), prior_precision(law, 0), nominal)
     lowest = np.where(nominal > 0, 0.05 * nominal, -np.inf)
     residual = np.nan_to_num(twin.measured - simulated[0])
     vector = at.metric.project(residual[None])[0]
@@ -191,7 +200,8 @@ def _refit_inside(twin: Twin, at: Linearisation, before: float, item: Ranked) ->
         if predicted < _DONE:
             break
         values = np.maximum(best.parameters + shrink * step, lowest)
-        local = slopes.local(twin, best.local, residual, values - best.parameters, shrink)
+        rest = slopes.rest(residual, (values - best.parameters) / shrink)
+        local = bounded(twin, best.local + shrink * at.metric.local_steps(rest[None])[0])
         trial = replace(best, parameters=values, local=local)
         new = np.nan_to_num(twin.measured - law.simulate(trial.lanes())[0], nan=0.0, posinf=1e6, neginf=-1e6)
         new_vector = at.metric.project(new[None])[0]
@@ -257,15 +267,16 @@ def _refit_as_signals(
             points.append(item.index)
             sizes.append(size)
     responses = signal_responses(at.twin, base_lanes, at.simulated, points, np.stack(signals))
-    responses = responses / np.array(sizes)[:, None, None]
+    responses = np.clip(responses / np.array(sizes)[:, None, None], -_LARGEST, _LARGEST)  # as `_refit_inside`
+    projected = at.metric.project(np.nan_to_num(responses))
     precision, nominal = prior_precision(twin, 0), np.array([p.value for p in twin.parameters])
     lanes, used = [], 0
     for item, first in zip(items, firsts, strict=True):
-        own = responses[used : used + len(first)]
+        own = slice(used, used + len(first))
         used += len(first)
         padded = np.append(precision, np.zeros(len(first))), np.append(nominal, first)
         values = np.append(at.fit.parameters[:known], first)
-        slopes = _Slopes(at, own, known, *padded)
+        slopes = _Slopes(at, responses[own], projected[own], *padded)
         lanes.append(_Lane(item, slopes, values, at.fit.local, variables, (values, at.fit.local)))
     for _ in range(_ROUNDS):
         active = [lane for lane in lanes if lane.active]
@@ -294,6 +305,7 @@ def _advance(twin: Twin, at: Linearisation, base: Lanes, active: Sequence[_Lane]
     readings, variables = trajectories(twin, lanes, {})
     residuals = np.nan_to_num(twin.measured[None] - readings, nan=0.0, posinf=1e6, neginf=-1e6)
     vectors = at.metric.project(residuals)
+    stepping: list[tuple[_Lane, Array, Array]] = []
     for k, lane in enumerate(active):
         value = lane.slopes.objective(vectors[k], lane.trial[0])
         gain = lane.objective - value
@@ -324,8 +336,11 @@ def _advance(twin: Twin, at: Linearisation, base: Lanes, active: Sequence[_Lane]
         for j, placed in enumerate(lane.item.placed):
             if placed.form.fixed is not None:
                 values[known + j] = max(values[known + j], 0.1 * lane.values[known + j])
-        local = lane.slopes.local(twin, lane.local, lane.residual, values - lane.values, lane.shrink)
-        lane.trial = (values, local)
+        stepping.append((lane, values, lane.slopes.rest(lane.residual, (values - lane.values) / lane.shrink)))
+    if stepping:
+        steps = at.metric.local_steps(np.stack([rest for _, _, rest in stepping]))
+        for (lane, values, _), step in zip(stepping, steps, strict=True):
+            lane.trial = values, bounded(twin, lane.local + lane.shrink * step)
 
 
 def _null(lane: _Lane, at: Linearisation, known: int) -> Array:

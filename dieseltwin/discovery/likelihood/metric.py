@@ -280,24 +280,28 @@ class Metric:
 
     def local_step(self, residual: Array) -> Array:
         """Least-squares change of the initial states for one residual (n, C) -> (W, S)."""
-        return self._local_step(self.whitening.apply(residual[None])[0])
+        return self._local_steps(self.whitening.apply(residual[None]))[0]
 
-    def local_step_beside_nuisances(self, whitened: Array) -> Array:
-        """The same for a whitened residual (n C,), without what nuisances most likely are of it."""
+    def local_steps(self, residuals: Array) -> Array:
+        """The same for several (B, n, C) -> (B, W, S), each without what nuisances most likely are of it."""
+        return self.local_steps_whitened(self.whitening.apply(residuals))
+
+    def local_steps_whitened(self, whitened: Array) -> Array:
+        """As `local_steps`, of residuals (B, n C) that are whitened already."""
         if self._nuisances is None:
-            return self._local_step(whitened)
-        weights = self._nuisance_weights(self._nuisances, self._without_local(whitened[None]))
-        return self._local_step(whitened - weights[0] @ self._nuisances.responses)
+            return self._local_steps(whitened)
+        weights = self._nuisance_weights(self._nuisances, self._without_local(whitened))
+        return self._local_steps(whitened - weights @ self._nuisances.responses)
 
-    def _local_step(self, whitened: Array) -> Array:
+    def _local_steps(self, whitened: Array) -> Array:
         if self.states == 1:
-            return np.asarray(np.add.reduceat(whitened * self._unit, self._first) / self._lengths)[:, None]
-        step = np.zeros((len(self._blocks), self.states))
+            return np.asarray(np.add.reduceat(whitened * self._unit, self._first, axis=1) / self._lengths)[..., None]
+        steps = np.zeros((len(whitened), len(self._blocks), self.states))
         if self.states == 0:
-            return step
+            return steps
         for w, (block, q, r) in enumerate(zip(self._blocks, self._orthonormal, self._triangular, strict=True)):
-            step[w] = np.linalg.solve(r, q[: block.stop - block.start].T @ whitened[block])
-        return step
+            steps[:, w] = np.linalg.solve(r, q[: block.stop - block.start].T @ whitened[:, block].T).T
+        return steps
 
     def window_costs(self, residual: Array) -> Array:
         """(W,) squared whitened residual of each window."""

@@ -45,7 +45,9 @@ def refit_all(
     P = len(twin.parameters)
     count = len(candidates)
     columns = [np.concatenate([base.jacobian[:P], np.asarray(r)]) for r in responses]
-    projected = [np.concatenate([base.projected[:P], base.metric.project(np.asarray(r))]) for r in responses]
+    ends = np.cumsum([len(r) for r in responses])[:-1]
+    own = np.split(base.metric.project(np.concatenate(responses)), ends)  # at once: the metric is read once
+    projected = [np.concatenate([base.projected[:P], rows]) for rows in own]
     precision = [prior_precision(twin, len(c.names)) for c in candidates]
     covariance = [covariance_of(a @ a.T + np.diag(b)) for a, b in zip(projected, precision, strict=True)]
     nominal = np.array([p.value for p in twin.parameters])
@@ -59,7 +61,7 @@ def refit_all(
     shrink = np.ones(count)
     active = list(range(count))
     for _round in range(_CHORD_ROUNDS):
-        trials, predicted = [], []
+        trials, rests, predicted = [], [], []
         for k in active:
             fit = best[k]
             offset = np.zeros(len(precision[k]))
@@ -73,9 +75,12 @@ def refit_all(
                 twin, fit.parameters + change[:P], candidates[k].names, start + change[P:]
             )
             moved = np.concatenate([parameters - fit.parameters, magnitudes - start])
-            rest = residuals[k] - np.tensordot(moved / shrink[k], columns[k], 1)
-            local = bounded(twin, fit.local + shrink[k] * base.metric.local_step(base.without_nuisances(rest)))
-            trials.append(replace(fit, parameters=parameters, magnitudes=magnitudes, local=local))
+            rests.append(residuals[k] - np.tensordot(moved / shrink[k], columns[k], 1))
+            trials.append(replace(fit, parameters=parameters, magnitudes=magnitudes))
+        trials = [
+            replace(trial, local=bounded(twin, trial.local + shrink[k] * step))
+            for trial, k, step in zip(trials, active, base.metric.local_steps(np.stack(rests)), strict=True)
+        ]
         simulated = simulate_fits(twin, trials)
         new = np.nan_to_num(twin.measured[None] - simulated)
         new_vectors = base.metric.project(new)
