@@ -100,6 +100,8 @@ def _card(effect: FoundEffect, document: Discrepancy, told: Told | None, judged:
     where = f"It enters in {site_words(told.site)}." if told.site else ""
     if location is not None and location.only_in:
         where += f" It acts {only_in_words(location)}."
+    if effect.since_row is not None:
+        where += f" It is there since data row {effect.since_row}."
     size = f"{name_markup(told.symbol)} = {told.size}" if told.symbol else ""
     known = ((s.name, s.meaning + ("" if s.unit == "-" else f" [{s.unit}]")) for s in symbols_in(" ".join(told.laws)))
     symbols = tuple((Markup(name_markup(name)), words) for name, words in told.symbols or known)

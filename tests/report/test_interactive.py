@@ -82,6 +82,12 @@ def test_the_page_is_printed(page: Path, tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["report.pdf"]
 
 
+def test_a_card_says_since_which_point() -> None:
+    late = synthetic_discovery.document(effects=[{**synthetic_discovery.LEAK, "since_row": 61}])
+    assert "It is there since data row 61." in str(law_cards(late)[0].meaning)
+    assert "data row" not in str(law_cards(synthetic_discovery.document())[0].meaning)
+
+
 def test_without_a_browser_it_is_said_what_to_do(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(InputError, match=r"no browser that could print.*Chromium or Chrome"):
