@@ -15,6 +15,7 @@ from dieseltwin.api.discovery import ask
 from dieseltwin.api.driving import DrivingQuestion
 from dieseltwin.api.identification import ask as ask_to_identify
 from dieseltwin.api.learning import LearnedResult, _in_its_unit
+from dieseltwin.api.points import _MEAN_MAPS, PointsQuestion
 from dieseltwin.discovery.fit_test import examine
 from dieseltwin.discovery.reference.learn import Learned
 from dieseltwin.engine import HEALTH, MEASURED, EngineParameters, we2011
@@ -25,6 +26,7 @@ from dieseltwin.learning.levels import health_covariance
 from dieseltwin.recordings.reader import recording
 from tests.api.learned import learned_file
 from tests.api.simulated import drive
+from tests.calibration.simulated import made_points
 
 
 def test_an_engine_is_learned_saved_and_taken(tmp_path: Path) -> None:
@@ -76,6 +78,12 @@ def test_corrections_that_nobody_knows_the_certainty_of_are_doubted(tmp_path: Pa
     assert f"note: {UNTOLD}" in cast(DrivingQuestion, ask(judged, bare)).notes
     assert f"note: {UNTOLD}" in ask_to_identify(judged, bare).notes
     assert f"note: {UNTOLD}" not in (*_notes(judged, file), *ask_to_identify(judged, file).notes)
+
+
+def test_settled_points_say_what_they_make_of_a_learned_engine(tmp_path: Path) -> None:
+    table = pd.DataFrame(dict(made_points(count=12, noise=0.005).columns))
+    asked, plain = cast(PointsQuestion, ask(table, learned_file(tmp_path))), cast(PointsQuestion, ask(table))
+    assert [note for note in asked.points.notes if note not in plain.points.notes] == [_MEAN_MAPS]
 
 
 def test_health_of_a_learned_engine_is_no_better_known_than_when_it_was_learned(tmp_path: Path) -> None:
