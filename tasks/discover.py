@@ -17,6 +17,7 @@ SUMMARY = "summary.txt"
 
 # Files that two equal runs make alike; the report shows run times.
 COMPARED = ("discrepancy.json", "engine.yaml", "implied.parquet")
+LEARNED = "engine.learned.parquet"  # without it the repaired engine of a learned one is refused
 
 
 @step("discover", "discovery", expected_s=60.0, sections=("discover", "learn"), unkeyed=("kind",))
@@ -113,6 +114,8 @@ def gathered(pending: Mapping[str, Pending]) -> tuple[dict[str, Artifact], dict[
 def files_to_publish(found: Mapping[str, Artifact], inputs: Mapping[str, Artifact]) -> dict[str, Path]:
     """Names in ``discoveries/`` -> files: recordings with what was found in them."""
     files = {f"{name}/{file}": artifact.path / file for name, artifact in found.items() for file in COMPARED}
+    learned = {f"{name}/{LEARNED}": artifact.path / LEARNED for name, artifact in found.items()}
+    files |= {name: path for name, path in learned.items() if path.is_file()}
     return files | {f"{name}/recording{inputs[name].path.suffix}": inputs[name].path for name in found}
 
 

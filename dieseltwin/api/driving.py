@@ -28,8 +28,9 @@ from dieseltwin.discovery.verdict.explain import Known, answers, details_of, pla
 from dieseltwin.discovery.verdict.implied import implied_frame
 from dieseltwin.engine import HEALTH, EngineParameters, we2011
 from dieseltwin.engine.effects import EFFECTS
+from dieseltwin.engine.learned_file import learned_beside
 from dieseltwin.errors import InputError
-from dieseltwin.learning.files import LearnedEngine, learned_engine_of, overlap
+from dieseltwin.learning.files import LearnedEngine, learned_engine_of, overlap, save_learned, untold
 from dieseltwin.notes import Note, of_reading
 from dieseltwin.recordings.channels import SENSORS
 from dieseltwin.recordings.circumstances import TIME_SHIFT, kind_of, put_right
@@ -50,6 +51,7 @@ from dieseltwin.version import __version__
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+ENGINE_FILE = "engine.yaml"
 _REPORT_S = 5.0  # of a time limit that document, figures and page need
 TOLERANCE_RANGE = (0.0, 0.05)  # map tolerance [-]; with more, nothing is left to find
 
@@ -64,7 +66,7 @@ class DrivingDiscovered(Discovered):
         seconds: wall time of the answer [s].
     """
 
-    own_files = ("engine.yaml", "implied.parquet")
+    own_files = (ENGINE_FILE, learned_beside(Path(ENGINE_FILE)).name, "implied.parquet")
 
     question: DrivingQuestion
     found: Discovery
@@ -85,6 +87,12 @@ class DrivingDiscovered(Discovered):
         return self.found.engine
 
     @property
+    def known(self) -> LearnedEngine | None:
+        """What was learned of the engine, whose repaired one is `engine`; None where nothing was."""
+        learned = self.question.known
+        return None if learned is None else replace(learned, repaired=self.engine)
+
+    @property
     def sentence(self) -> str:
         return in_words(self.document)
 
@@ -103,7 +111,10 @@ class DrivingDiscovered(Discovered):
         return details_of(self.found, self.question.asked, list(self.question.notes))
 
     def _write(self, folder: Path, began: float) -> dict[str, Any]:
-        write_text(folder / "engine.yaml", engine_yaml(self.engine))
+        if self.known is None:
+            write_text(folder / ENGINE_FILE, engine_yaml(self.engine))
+        else:
+            save_learned(self.known, folder / ENGINE_FILE)
         written = begin_beside(driving_page.write, replace(self.found, document=self.document), folder)
         stds = {n: v.std for n, v in self.document.health.items() if v.std is not None and n in HEALTH}
         sensors = self.question.options.sensors
@@ -187,6 +198,8 @@ class DrivingQuestion(Question):
 
     def answered_in(self, folder: Path) -> bool:
         judged = [day.recording for day in self.days] or [self.recording]
+        if self.known is not None and not learned_beside(folder / ENGINE_FILE).is_file():
+            return False
         return answers(folder, self.asked, together_sha256(judged))
 
     def answer(self) -> DrivingDiscovered:
@@ -239,7 +252,7 @@ def ask(
     sources = [whole if most is None else liveliest(whole, minutes_of(whole, len(wholes), most)) for whole in wholes]
     days = in_time_order(sources) if len(sources) > 1 else ()
     refuse_overlapping(wholes, overlap)
-    notes: list[Note] = [*doubts, *_date_notes(days)]
+    notes: list[Note] = [*doubts, *untold(parameters, learned), *_date_notes(days)]
     if learned is not None and not question.reference:  # else `learn` has said so
         notes += [Note(doubt, "reference") for doubt in learned.doubts]
     sensors = []

@@ -25,7 +25,7 @@ from dieseltwin.errors import InputError
 from dieseltwin.identification.identify import identify_segments
 from dieseltwin.identification.problem import NoiseLevels, SegmentProblem, problems_from_recording
 from dieseltwin.identification.result import Identification, curves_table
-from dieseltwin.learning.files import LearnedEngine, learned_engine_of
+from dieseltwin.learning.files import LearnedEngine, learned_engine_of, untold
 from dieseltwin.notes import Note, doubts_among, of_reading, warnings_of
 from dieseltwin.recordings.channel_checks import channel_notes
 from dieseltwin.recordings.channels import SENSORS
@@ -313,7 +313,7 @@ def ask(
         raise InputError("--runs", runs, f"1 or more, up to {MOST_RUNS}", "choose another number")
     if segment_s is not None and not SEGMENT_RANGE_S[0] <= segment_s <= SEGMENT_RANGE_S[1]:
         raise InputError("--segment", f"{segment_s:g} s", "{:g} to {:g} s".format(*SEGMENT_RANGE_S), "choose another")
-    parameters = diesel_engine(engine)
+    parameters, known = diesel_engine(engine), learned_engine_of(engine)
     used = SENSORS if setup.sensors is None else _checked(setup.sensors, chosen)
     source = diesel_recording(recording, channels, parameters, sensors=used)
     if source.time_s.size > MOST_ROWS:
@@ -325,9 +325,9 @@ def ask(
     without = [Note(f"without {name}: {DIESEL.costs[name]}", "missing_sensor", (name,))
                for name in SENSORS if name not in used]
     fitted = tuple(used) if masked is not None else tuple(name for name in MEASURED if name in source.columns)
-    notes = (*_notes(source, parameters), *channel_notes(source, fitted), *without, *left_out)
+    notes = (*_notes(source, parameters, known), *channel_notes(source, fitted), *without, *left_out)
     whole = setup.fit_test and chosen.needs.maps == EXACT
-    fit_with = (with_charge(parameters, source), fitted, learned_engine_of(engine)) if whole else None
+    fit_with = (with_charge(parameters, source), fitted, known) if whole else None
     return IdentificationQuestion(tuple(problems), method, runs, seed, settings, networks, notes, source,
                                   segment_s, masked, fit_with, source.path.name if source.path else "")  # fmt: skip
 
@@ -389,11 +389,11 @@ def _usable(problems: list[SegmentProblem], source: Recording) -> tuple[list[Seg
     return usable, notes
 
 
-def _notes(source: Recording, parameters: EngineParameters) -> list[Note]:
+def _notes(source: Recording, parameters: EngineParameters, known: LearnedEngine | None) -> list[Note]:
     ranges = {"n_e_rpm": parameters.n_e_range, "u_delta_mg": parameters.u_delta_range,
               "u_egr_pct": parameters.u_egr_range, "u_vgt_pct": parameters.u_vgt_range}  # fmt: skip
     counts = rows_out_of_range(source.columns, ranges)
-    read = [of_reading(note) for note in source.notes]
+    read = [*untold(parameters, known), *map(of_reading, source.notes)]
     return read + [Note(f"{count} of {len(source.time_s)} rows of {name} are outside the engine's range "
                         f"{ranges[name][0]:g} to {ranges[name][1]:g}", "out_of_range", (name,))
                    for name, count in counts.items()]

@@ -22,7 +22,7 @@ from dieseltwin.engine.map_corrections import ARGUMENTS, CORRECTED_POINTS, basis
 from dieseltwin.errors import InputError
 from dieseltwin.learning.belief import Further, prior_belief
 from dieseltwin.learning.domain import KNOWN_SHARE, functions_on_maps, share_of_box, uncertainty_along
-from dieseltwin.learning.files import LearnedEngine, learned_engine_of, overlap, save_learned, seal_of
+from dieseltwin.learning.files import LearnedEngine, going_on, learned_engine_of, overlap, save_learned, seal_of
 from dieseltwin.learning.levels import health_covariance
 from dieseltwin.learning.siblings import belief_from_siblings
 from dieseltwin.notes import Note, counted, of_reading
@@ -155,10 +155,10 @@ def _learn_diesel(
     read = None if file is None else (file, seal_of(file))
     before = learned_engine_of(engine)
     base = diesel_engine(engine) if before is None else before.base
+    notes = going_on(str(engine) if isinstance(engine, str | Path) else "the engine", base, before)
     if before is not None and map_error is not None and map_error != before.map_rms:
         raise InputError("--map-error", f"{map_error:g}", f"{before.map_rms:g}, as {engine} says", "leave it out")
     sources: list[Recording] = []
-    notes: list[str] = []
     for item in recordings:
         source = diesel_recording(item, channels, base, sensors=())
         used, doubts = check_recording(source, base, sensors)

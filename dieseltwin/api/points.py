@@ -36,6 +36,7 @@ from dieseltwin.discovery.verdict.document import Discrepancy
 from dieseltwin.engine import EngineParameters
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.errors import InputError
+from dieseltwin.learning.files import learned_engine_of
 from dieseltwin.notes import Note, doubts_among, of_reading, warnings_of
 from dieseltwin.recordings.channels import INPUTS, SENSORS
 from dieseltwin.recordings.reader import write_recording
@@ -144,6 +145,9 @@ def calibrate_points(
 
 
 # --- discover
+
+_MEAN_MAPS = ("the maps are corrected as they were learned from driving; settled points make no use of how well these "
+              "corrections are known, and the repaired engine doesn't hold it")  # fmt: skip
 
 
 @dataclass(frozen=True, repr=False)
@@ -286,6 +290,8 @@ def ask(
     source = settled_points(points, channels, geometry, NEEDED)
     if isinstance(engine, str | Path) and not question.reference:
         source = replace(source, notes=(*source.notes, *other_points(Path(engine), source)))
+    if learned_engine_of(engine) is not None:
+        source = replace(source, notes=(*source.notes, _MEAN_MAPS))
     well = [settled_points(reference, channels, geometry, NEEDED) for reference in question.reference]
     used = beside_reference(source, well) if well else source
     return PointsQuestion(used, base, geometry, question.random_seed, options)

@@ -136,9 +136,11 @@ def _asked(
 
 
 def _known_sha256(learned: LearnedEngine) -> str:
-    """Hash of what is known of an engine: scores of recordings are in its coordinates."""
+    """Hash of what is known of an engine: scores of recordings are in its coordinates. Beside an effect that was found
+    since they are others."""
     belief = learned.belief
-    return hashlib.sha256(belief.mean.tobytes() + belief.covariance.tobytes()).hexdigest()
+    since = "".join(term.model_dump_json() for term in learned.found)
+    return hashlib.sha256(belief.mean.tobytes() + belief.covariance.tobytes() + since.encode()).hexdigest()
 
 
 def _entry(found: DrivingDiscovered, day: Dated, sketched: str) -> Entry:

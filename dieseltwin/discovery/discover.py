@@ -187,7 +187,7 @@ def as_it_was(
     put right; without a verdict.
 
     Where an effect of the catalogue stands out, the circumstances are what they are beside it: alone they would bend to
-    imitate it.
+    imitate it. Beside a learned engine a barometer that reads 0.3 kPa too much is more than its maps can take.
 
     Args:
         recording, engine, options, learned: as of `discover`.
@@ -201,7 +201,8 @@ def as_it_was(
                  learned)  # fmt: skip
     found = search.looked_at(preparation.prepare(twin, options.settings()))
     moved = found.twin.values if isinstance(found.twin, LoggedTwin) else {}
-    shown = tuple(item for item in estimates(leading(found)) if item.off and item.circumstance.kind != DRIFT)
+    shown = tuple(item for item in estimates(leading(found)) if item.circumstance.kind != DRIFT
+                  and (item.off if learned is None else item.surely_off))  # fmt: skip
     beside = {item.circumstance.name: item.value for item in shown if item.circumstance.kind != TIME_SHIFT}
     applied = {**moved, **beside}  # clocks of sensors go by whole rows, as the twin took them
     return (*put_right(recording, engine, applied), tuple(item for item in shown if item.circumstance.name in applied))

@@ -1,5 +1,9 @@
 """Files of a learned engine: `mine.yaml` that every command takes, and `mine.learned.parquet` with what is known of it.
 
+The repaired engine of a discovery beside a learned one has both files as well. Its YAML holds the health and the
+effects that were found, and corrections of the maps on top of the learned ones where the recording moved them; its
+Parquet file is that of the engine as it was learned, so that "since the reference" keeps its meaning.
+
 The Parquet file holds one row a coordinate of `learning.belief`: name, unit, mean and its row of the joint covariance,
 and in its metadata the base engine, the recordings it rests on (hash, seconds, date, ambient, and their columns, so
 that more can be learned later without them) and versions. Neither file says when it was written: the same recordings
@@ -13,7 +17,7 @@ import hashlib
 import io
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -23,7 +27,7 @@ import pandas as pd
 import yaml
 
 from dieseltwin.atomic import write_bytes, write_text
-from dieseltwin.engine import HEALTH, MEASURED, EngineParameters
+from dieseltwin.engine import HEALTH, MEASURED, EngineParameters, load_engine
 from dieseltwin.engine.learned_file import (
     LEARN_AGAIN,
     LEARNED,
@@ -33,7 +37,7 @@ from dieseltwin.engine.learned_file import (
     learned_bytes,
     replaced_by,
 )
-from dieseltwin.engine.terms import CorrectionTerm
+from dieseltwin.engine.terms import CorrectionTerm, EffectTerm, LawTerm, OneTerm, corrections_in
 from dieseltwin.errors import InputError
 from dieseltwin.learning.belief import (
     NOTHING_FURTHER,
@@ -44,19 +48,24 @@ from dieseltwin.learning.belief import (
     prior_belief,
     with_further,
 )
-from dieseltwin.notes import counted
+from dieseltwin.notes import Note, counted
 from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.derived import Made
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.recordings.shared_rows import share_known
 from dieseltwin.sealed import sealed_text
+from dieseltwin.settings.names import listed
 from dieseltwin.settings.strict import read_mapping
 from dieseltwin.version import __version__
 
 SCHEMA = 1
 UNSETTLED = "the engine was learned by a fit that stopped before it converged; intervals may be too narrow, and what \
 doesn't fit may be the reference's"
-_MAY_DIFFER = (*HEALTH, "p_amb", "T_amb", "T_im")  # in the file of a repaired engine, or on another day
+UNTOLD = "the engine's maps are corrected, but nothing says how well the corrections are known (no `learned:` in its \
+file): they are taken for exact, so that intervals are too narrow, and nothing is told since the reference; give the \
+file of `dieseltwin learn`, or of a discovery beside it"
+_MAY_DIFFER = (*HEALTH, "p_amb", "T_amb", "T_im", "terms")  # in the file of a repaired engine, or on another day
+_RANGE = "_range"  # in names of limits of the inputs, which are no maps
 _KEY = b"dieseltwin.learned"
 
 
@@ -77,6 +86,8 @@ class LearnedEngine:
         clocks: column -> how late it is recorded, of those whose clock is off in these recordings [s].
         converged: whether the fit of all recordings came to rest; else the covariance may be too small.
         suspected: by what the recordings look as if the engine hadn't been well, a sentence each.
+        repaired: the engine as its file has it, where that isn't how it was learned: with the health and the effects
+            that a discovery found since; None for the engine as it was learned. The belief is that of learning.
     """
 
     base: EngineParameters
@@ -90,6 +101,7 @@ class LearnedEngine:
     clocks: Mapping[str, float] = field(default_factory=dict)
     converged: bool = True
     suspected: tuple[str, ...] = ()
+    repaired: EngineParameters | None = None
 
     @property
     def errors(self) -> float:
@@ -104,10 +116,26 @@ class LearnedEngine:
 
     @property
     def engine(self) -> EngineParameters:
-        """The engine with its mean health, and the mean corrections of its maps among its terms."""
+        """The engine with its mean health, and the mean corrections of its maps among its terms; what was found since
+        is in it where it was repaired."""
+        if self.repaired is not None:
+            return self.repaired
         health = {name: float(value) for name, value in zip(HEALTH, self.belief.health, strict=True)}
         term = CorrectionTerm(coefficients=tuple(float(value) for value in self.belief.coefficients))
         return self.base.replace(**health, terms=(*self.base.terms, term))
+
+    @property
+    def found(self) -> tuple[EffectTerm | LawTerm, ...]:
+        """Terms that the engine has and wasn't learned with; corrections of maps aren't among them."""
+        return tuple(term for term in _effects(self.engine) if term not in self.base.terms)
+
+    @property
+    def moved(self) -> np.ndarray | None:
+        """By how much the maps' corrections differ from those that were learned, (K,) [-]; None where they don't."""
+        now = None if self.repaired is None else corrections_in(self.repaired.terms)
+        if now is None or np.array_equal(now, self.belief.coefficients):
+            return None
+        return np.asarray(now - self.belief.coefficients)
 
     @property
     def doubts(self) -> tuple[str, ...]:
@@ -118,6 +146,11 @@ class LearnedEngine:
     def minutes(self) -> float:
         """Of all recordings with the engine running [min]."""
         return sum(item.running_s for item in self.recordings) / 60.0
+
+
+def _effects(engine: EngineParameters) -> tuple[EffectTerm | LawTerm, ...]:
+    """Terms of an engine but for corrections of its maps."""
+    return tuple(term for term in engine.terms if not isinstance(term, CorrectionTerm))
 
 
 def save_learned(learned: LearnedEngine, path: Path) -> Path:
@@ -134,14 +167,26 @@ def save_learned(learned: LearnedEngine, path: Path) -> Path:
         write_bytes(before, kept)
     write_bytes(target, content)
     values: dict[str, Any] = learned.engine.model_dump(mode="json")
-    values["terms"] = [term.model_dump(mode="json") for term in learned.base.terms]
+    values["terms"] = [term.model_dump(mode="json") for term in _written_terms(learned)]
     values |= {LEARNED: target.name, SHA256: hashlib.sha256(content).hexdigest()}
     minutes = f"{learned.minutes:.0f} minutes of {counted(len(learned.recordings), 'recording')}"
     text = yaml.safe_dump(values, sort_keys=False, allow_unicode=True, default_flow_style=None, width=100)
-    heading = f"# Learned by `dieseltwin learn` from {minutes}; --engine accepts it.\n"
+    made = "Learned by `dieseltwin learn`"
+    if learned.repaired is not None:
+        made = "Repaired by `dieseltwin discover`; learned by `dieseltwin learn`"
+    heading = f"# {made} from {minutes}; --engine accepts it.\n"
     write_text(path, sealed_text(heading + text))
     before.unlink(missing_ok=True)
     return target
+
+
+def _written_terms(learned: LearnedEngine) -> tuple[OneTerm, ...]:
+    """Terms of the engine file: all but the learned corrections, which are in the other file and added to these."""
+    if learned.repaired is None:
+        return learned.base.terms
+    moved = learned.moved
+    on_top = () if moved is None else (CorrectionTerm(coefficients=tuple(map(float, moved))),)
+    return (*_effects(learned.repaired), *on_top)
 
 
 def _named_now(path: Path) -> bytes | None:
@@ -153,6 +198,38 @@ def _named_now(path: Path) -> bytes | None:
         return learned_bytes(path, document) if LEARNED in document else None
     except InputError:
         return None
+
+
+def untold(engine: EngineParameters, learned: LearnedEngine | None) -> list[Note]:
+    """That corrections of an engine's maps are taken for exact, where nothing says how well they are known."""
+    return [Note(UNTOLD, "reference")] if learned is None and corrections_in(engine.terms) is not None else []
+
+
+def going_on(name: str, base: EngineParameters, before: LearnedEngine | None) -> list[str]:
+    """Notes where learning goes on from an engine that isn't as it was learned.
+
+    Args:
+        name: of the engine, for people.
+        base: that is learned.
+        before: what was learned of it; None for nothing.
+
+    Raises:
+        InputError: corrections of maps and nothing that is known of them, effects that were found since.
+    """
+    as_learned = "name the file that `dieseltwin learn` wrote"
+    if before is None:
+        if untold(base, None):
+            raise InputError("--engine", f"{name}, whose maps are corrected without a word of how well that is known",
+                             "an engine without corrections, or a learned one", as_learned)  # fmt: skip
+        return []
+    if before.found:
+        effects = [term.point if isinstance(term, LawTerm) else term.slot for term in before.found]
+        raise InputError("--engine", f"{name}, repaired by {listed(list(dict.fromkeys(effects)))}",
+                         "the engine as it was learned", as_learned)  # fmt: skip
+    if before.repaired is None:
+        return []
+    return [f"note: {name} holds health or ambient of its own, which isn't learned from: it goes on from what was "
+            "learned before"]  # fmt: skip
 
 
 def seal_of(path: Path) -> str:
@@ -170,15 +247,22 @@ def load_learned(path: Path) -> LearnedEngine | None:
     if LEARNED not in document:
         return None
     known = _parsed(learned_bytes(path, document), path.with_name(str(document[LEARNED])))
-    for name, value in known.base.model_dump(mode="json").items():
-        if isinstance(value, float) and name not in _MAY_DIFFER and document.get(name, value) != value:
-            raise InputError(f"{path}: {name}", f"{document[name]}", f"{value:.6g}, with which it was learned",
+    engine = load_engine(path)
+    for name in type(engine).model_fields:
+        got, value = getattr(engine, name), getattr(known.base, name)
+        if got != value and name not in _MAY_DIFFER and not name.endswith(_RANGE):
+            raise InputError(f"{path}: {name}", _in_digits(got), f"{_in_digits(value)}, with which it was learned",
                              "change the base, and learn again with --engine naming that")  # fmt: skip
-    return known
+    return known if engine == known.engine else replace(known, repaired=engine)
+
+
+def _in_digits(value: object) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def learned_engine_of(engine: object) -> LearnedEngine | None:
-    """What is known of an engine: of the file that is named, or with what `learn` gave; None where nothing is."""
+    """What is known of an engine: of the file that is named, or with what `learn` gave, or `discover` beside a learned
+    engine; None where nothing is."""
     known = getattr(engine, "known", engine)
     if isinstance(known, LearnedEngine):
         return known

@@ -13,16 +13,20 @@ import pytest
 import dieseltwin as dt
 from dieseltwin.api.discovery import ask
 from dieseltwin.api.driving import DrivingQuestion
+from dieseltwin.api.identification import ask as ask_to_identify
 from dieseltwin.api.learning import LearnedResult, _in_its_unit
+from dieseltwin.api.points import _MEAN_MAPS, PointsQuestion
 from dieseltwin.discovery.fit_test import examine
 from dieseltwin.discovery.reference.learn import Learned
-from dieseltwin.engine import HEALTH, MEASURED, we2011
+from dieseltwin.engine import HEALTH, MEASURED, EngineParameters, we2011
+from dieseltwin.engine.terms import Term
 from dieseltwin.errors import InputError
-from dieseltwin.learning.files import UNSETTLED, load_learned, save_learned, seal_of
+from dieseltwin.learning.files import UNSETTLED, UNTOLD, load_learned, save_learned, seal_of
 from dieseltwin.learning.levels import health_covariance
 from dieseltwin.recordings.reader import recording
 from tests.api.learned import learned_file
 from tests.api.simulated import drive
+from tests.calibration.simulated import made_points
 
 
 def test_an_engine_is_learned_saved_and_taken(tmp_path: Path) -> None:
@@ -47,6 +51,39 @@ def test_what_learn_gave_is_as_good_as_its_file(tmp_path: Path) -> None:
     first, second = (cast(DrivingQuestion, ask(judged, engine)) for engine in (file, given))
     assert first.known is not None and second.known is known
     assert second.parameters == first.parameters == known.engine
+
+
+def test_the_repaired_engine_keeps_what_was_learned(tmp_path: Path) -> None:
+    """Its file held the corrections without their covariance: health was stated too surely, and not since then."""
+    leak = Term(effect="boost_leak", magnitude=6e-5)
+    worn = we2011.PARAMETERS.replace(A_vgtmax=0.9 * we2011.PARAMETERS.A_vgtmax, terms=(leak,))
+    found = dt.discover(drive(150.0, worn, seed=31), learned_file(tmp_path))
+    assert [effect.name for effect in found.document.effects] == ["boost_leak"]
+    found.save(tmp_path / "found")
+    again = drive(120.0, worn, seed=32)
+    given, file = (cast(DrivingQuestion, ask(again, one)) for one in (found, tmp_path / "found" / "engine.yaml"))
+    assert given.known is not None and file.known is not None and given.known.found == file.known.found
+    assert np.array_equal(file.known.belief.covariance, given.known.belief.covariance)
+    assert file.parameters.A_vgtmax == given.parameters.A_vgtmax == cast(EngineParameters, found.engine).A_vgtmax
+    answer = file.answer().document
+    since = answer.health["A_vgtmax"].since_reference
+    assert not answer.mismatch and since is not None and abs(since.value - 0.9) < 4.0 * since.std < 0.2
+    said = dt.identify(again, found, runs=1)
+    assert abs(said.table()["since_reference"]["A_vgtmax"] - 0.9) < 0.03
+
+
+def test_corrections_that_nobody_knows_the_certainty_of_are_doubted(tmp_path: Path) -> None:
+    judged, file = drive(120.0, seed=31), learned_file(tmp_path)
+    bare = dt.engine(file)
+    assert f"note: {UNTOLD}" in cast(DrivingQuestion, ask(judged, bare)).notes
+    assert f"note: {UNTOLD}" in ask_to_identify(judged, bare).notes
+    assert f"note: {UNTOLD}" not in (*_notes(judged, file), *ask_to_identify(judged, file).notes)
+
+
+def test_settled_points_say_what_they_make_of_a_learned_engine(tmp_path: Path) -> None:
+    table = pd.DataFrame(dict(made_points(count=12, noise=0.005).columns))
+    asked, plain = cast(PointsQuestion, ask(table, learned_file(tmp_path))), cast(PointsQuestion, ask(table))
+    assert [note for note in asked.points.notes if note not in plain.points.notes] == [_MEAN_MAPS]
 
 
 def test_health_of_a_learned_engine_is_no_better_known_than_when_it_was_learned(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from dieseltwin.api.watch import _known_sha256
 from dieseltwin.challenge.map_errors import MapErrors
 from dieseltwin.challenge.plant import run_plant
 from dieseltwin.challenge.plant_effects import Fault
@@ -17,6 +18,7 @@ from dieseltwin.challenge.routes import draw_driving
 from dieseltwin.challenge.sensors import SensorSet, read
 from dieseltwin.cli.app import main
 from dieseltwin.engine import we2011
+from dieseltwin.engine.terms import Term
 from dieseltwin.learning.files import load_learned, save_learned
 
 pytestmark = pytest.mark.usefixtures("no_pictures")
@@ -49,6 +51,25 @@ def test_a_leak_is_found_beside_learned_maps(folder: Path):
     assert document["reference"]["recordings"] == 1 and document["reference"]["minutes"] == pytest.approx(2.0, abs=0.1)
     since = document["health"]["A_vgtmax"]["since_reference"]
     assert abs(since["value"] - 0.9) < 4.0 * since["std"] < 0.1
+    repaired, mine = load_learned(out / "engine.yaml"), load_learned(folder / "mine.yaml")
+    assert repaired is not None and mine is not None and repaired.found and not mine.found
+    assert repaired.engine.A_vgtmax == document["health"]["A_vgtmax"]["value"]
+    assert (out / "engine.learned.parquet").read_bytes() == (folder / "mine.learned.parquet").read_bytes()
+
+
+def test_an_engine_with_a_fault_is_no_reference(folder: Path, capsys: pytest.CaptureFixture[str]):
+    known = load_learned(folder / "mine.yaml")
+    assert known is not None
+    leaking = known.engine.replace(terms=(*known.engine.terms, Term(effect="boost_leak", magnitude=3e-5)))
+    save_learned(replace(known, repaired=leaking), folder / "leaking.yaml")
+    new, leaking_file = str(folder / "new.csv"), str(folder / "leaking.yaml")
+    for command in (["learn", new, "--engine", leaking_file, "--out", str(folder / "more.yaml")],
+                    ["discover", new, "--engine", leaking_file, "--reference", str(folder / "healthy.csv"), "--out",
+                     str(folder / "no")]):  # fmt: skip
+        assert main(command) == 2
+        said = capsys.readouterr().err
+        assert said.count("\n") == 1 and "leaking.yaml, repaired by boost_leak" in said
+    assert _known_sha256(replace(known, repaired=leaking)) != _known_sha256(known)  # a history of its own
 
 
 def test_the_reference_itself_is_not_judged(folder: Path, capsys: pytest.CaptureFixture[str]):

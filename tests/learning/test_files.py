@@ -11,15 +11,17 @@ import pytest
 
 from dieseltwin.engine import load_engine, simulate, we2011
 from dieseltwin.engine.inputs import Inputs
-from dieseltwin.engine.terms import corrections_in
+from dieseltwin.engine.terms import Term, corrections_in, with_corrections
 from dieseltwin.errors import InputError
 from dieseltwin.learning import files
 from dieseltwin.learning.belief import MAPS_AT, Belief, prior_belief
 from dieseltwin.learning.domain import domain_of
-from dieseltwin.learning.files import LearnedEngine, load_learned, overlap, save_learned
+from dieseltwin.learning.files import LearnedEngine, going_on, load_learned, overlap, save_learned
 from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.reader import Recording, recording
 from dieseltwin.recordings.shared_rows import distinct
+
+LEAK = Term(effect="boost_leak", magnitude=2.5e-5)
 
 
 def _recording(seed: int) -> Recording:
@@ -162,6 +164,62 @@ def test_what_an_engine_is_built_like_is_not_changed_behind_what_was_learned(tmp
     lines = [line for line in path.read_text().splitlines() if not line.startswith("# content_sha256:")]
     path.write_text("\n".join(lines).replace(f"V_d: {we2011.PARAMETERS.V_d}", "V_d: 0.015"))
     with pytest.raises(InputError, match=r"V_d: got 0\.015; allowed: 0\.012"):
+        load_learned(path)
+
+
+def _repaired(learned: LearnedEngine) -> LearnedEngine:
+    """As a discovery beside it leaves the engine: another health, maps moved a little, and a leak."""
+    maps = with_corrections((), learned.belief.coefficients + 1e-3)
+    return replace(learned, repaired=learned.engine.replace(A_egrmax=3.5e-4, T_amb=280.0, terms=(*maps, LEAK)))
+
+
+def test_a_repaired_engine_is_still_the_learned_one(tmp_path: Path, two):
+    learned = _learned(*two)
+    plain = save_learned(learned, tmp_path / "mine.yaml")
+    beside = save_learned(_repaired(learned), tmp_path / "engine.yaml")
+    assert beside.name == "engine.learned.parquet" and beside.read_bytes() == plain.read_bytes()
+    again, engine = load_learned(tmp_path / "engine.yaml"), load_engine(tmp_path / "engine.yaml")
+    assert again is not None and again.engine == engine and engine.A_egrmax == 3.5e-4
+    assert again.found == (LEAK,) and again.moved == pytest.approx(1e-3, abs=1e-12)
+    assert np.array_equal(again.belief.health, learned.belief.health)  # health is still said since the reference
+    assert corrections_in(engine.terms) == pytest.approx(learned.belief.coefficients + 1e-3)
+    save_learned(again, tmp_path / "twice.yaml")
+    twice = load_learned(tmp_path / "twice.yaml")
+    assert twice is not None and twice.found == (LEAK,) and twice.moved == pytest.approx(again.moved, abs=1e-12)
+    beside.unlink()
+    for read in (load_learned, load_engine):
+        with pytest.raises(InputError, match="both files"):
+            read(tmp_path / "engine.yaml")
+
+
+def test_an_engine_that_is_as_it_was_learned_is_not_repaired(tmp_path: Path, two):
+    save_learned(_learned(*two), tmp_path / "mine.yaml")
+    known = load_learned(tmp_path / "mine.yaml")
+    assert known is not None and known.repaired is None and known.moved is None and not known.found
+    save_learned(replace(known, repaired=known.engine), tmp_path / "healthy.yaml")
+    assert load_engine(tmp_path / "healthy.yaml") == known.engine
+
+
+def test_learning_goes_on_from_an_engine_as_it_was_learned(two):
+    known = _learned(*two)
+    assert going_on("mine.yaml", known.base, known) == []
+    with pytest.raises(InputError, match=r"found/engine\.yaml, repaired by boost_leak; allowed: the engine as it was"):
+        going_on("found/engine.yaml", known.base, _repaired(known))
+    worn = replace(known, repaired=known.engine.replace(A_egrmax=3.5e-4))
+    assert "isn't learned from" in going_on("found/engine.yaml", known.base, worn)[0]
+    with pytest.raises(InputError, match="corrected without a word"):
+        going_on("old.yaml", known.engine, None)
+
+
+@pytest.mark.parametrize(("before", "after"), [("c_m: [1.35634407,", "c_m: [1.4,"), ("eta_cmax: 0.7364\n", "")])
+def test_maps_and_missing_lines_count_as_changes_too(tmp_path: Path, two, before: str, after: str):
+    path, learned = tmp_path / "mine.yaml", _learned(*two)
+    save_learned(replace(learned, base=learned.base.replace(eta_cmax=0.7364)), path)
+    lines = [line for line in path.read_text().splitlines() if not line.startswith("# content_sha256:")]
+    text = "\n".join(lines)
+    assert before in text
+    path.write_text(text.replace(before, after))
+    with pytest.raises(InputError, match="with which it was learned"):
         load_learned(path)
 
 

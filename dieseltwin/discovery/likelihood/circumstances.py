@@ -59,9 +59,13 @@ class Estimate:
 
     @property
     def off(self) -> bool:
-        """Whether it is plainly another than assumed."""
-        away = abs(self.value - self.circumstance.assumed)
-        return away > _PLAINLY * self.std and away > self.circumstance.notable
+        """Whether it is plainly another than assumed, by as much as matters."""
+        return self.surely_off and abs(self.value - self.circumstance.assumed) > self.circumstance.notable
+
+    @property
+    def surely_off(self) -> bool:
+        """Whether it is plainly another than assumed, by however little: beside a learned engine that may matter."""
+        return abs(self.value - self.circumstance.assumed) > _PLAINLY * self.std
 
 
 def open_circumstances(twin: Twin) -> tuple[Circumstance, ...]:
