@@ -25,27 +25,35 @@ from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.search.variants import Variant
 from dieseltwin.discovery.twins.interface import Array, OverRecordings, rows_of
 
-Edge = Callable[[float], Variant]
+WithDate = Callable[[float], Variant]
 Ranges = dict[str, tuple[float, float]]
 
 _AS_GOOD = 4.0  # of -2 log likelihood: two standard deviations
 _AT_ONCE = 2  # windows to either side that are tried at once, and further ones where the outermost is as good
-_RESOLVED_S = 0.5  # of the ends of a range: what is said has whole seconds
+_RESOLVED_S = 0.25  # of the ends of a range: what is said has whole seconds
+_RASTER_S = 1.0  # of the dates that the search tries: one that is off by less isn't worth a refit
 
 
 def date_edges(found: Search) -> None:
-    """The range of an onset and of an end; a chosen explanation is dated anew where windows near were left out."""
+    """The range of dates of an onset and of an end that a chosen explanation has.
+
+    Where windows near them were left out, they are dated with those. Where another date is better by more than the
+    search's raster, the explanation is refitted there.
+    """
     variant, best = found.variant, found.best
     if found.kind != "variant" or variant is None or best is None or variant.onset_s is None:
         return
     if isinstance(found.twin, OverRecordings) or not found.twin.states:
         return
     clock, within = time.perf_counter(), _AS_GOOD * found.widening
-    ranges, _ = _ranges(best, variant, within)
+    ranges, dated = _ranges(best, variant, within)
     if _unseen(found, ranges.values()):
-        ranges, variant = _dated_with_all_readings(found, best, variant, within)
-        if variant is not found.variant:
-            _explain_at(found, variant)
+        ranges, dated = _dated_with_all_readings(found, best, variant, within)
+    if not _holds(ranges, variant, _RASTER_S):
+        _explain_at(found, dated)
+        variant = dated
+    ranges = {name: (min(low, _date_of(variant, name)), max(high, _date_of(variant, name)))
+              for name, (low, high) in ranges.items()}  # fmt: skip
     found.onset_range_s, found.until_range_s = ranges.get("onset_s"), ranges.get("until_s")
     found.seconds["dates"] = time.perf_counter() - clock
 
@@ -111,7 +119,7 @@ class _Edge:
         after_s, before_s: limits of the edge; None: the recording's end.
     """
 
-    def __init__(self, at: Linearisation, with_date: Edge, after_s: float, before_s: float | None) -> None:
+    def __init__(self, at: Linearisation, with_date: WithDate, after_s: float, before_s: float | None) -> None:
         self.at, self.with_date = at, with_date
         time_s = at.twin.time_s
         last = float(time_s[-1]) if before_s is None else before_s
@@ -120,7 +128,7 @@ class _Edge:
         self.known: dict[int, float] = {}
 
     def range_about(self, time_s: float, within: float) -> tuple[float, float]:
-        """First and last date whose objective is within so much of the best."""
+        """Between which dates lie all whose objective is within so much of the best."""
         times = self.at.twin.time_s
         start = int(np.searchsorted(times, time_s))
         if self.rows.size < 2:
@@ -138,11 +146,12 @@ class _Edge:
             limit = min(self.known.values()) + within
             good = [k for k, row in enumerate(tried) if self.known[row] <= limit]
             best = tried.index(self.best_row)
+            ends = max(good[0] - 1, 0), min(good[-1] + 1, len(tried) - 1)
             between = [(k - 1, k) for k in (good[0], good[-1] + 1, best, best + 1) if 0 < k < len(tried)]
             gaps = {(tried[a], tried[b]) for a, b in between}
             middles = {(a + b) // 2 for a, b in gaps if b - a > 1 and times[b] - times[a] > _RESOLVED_S}
             if not middles:
-                return float(times[tried[good[0]]]), float(times[tried[good[-1]]])
+                return float(times[tried[ends[0]]]), float(times[tried[ends[1]]])
             self._try(sorted(middles))
 
     @property
@@ -188,8 +197,7 @@ def _with_all_readings(found: Search, but: np.ndarray) -> Search:
 def _dated_with_all_readings(
     found: Search, best: Linearisation, variant: Variant, within: float
 ) -> tuple[Ranges, Variant]:
-    """The ranges of the edges with the readings that were left out, and the variant with the best ones; the same where
-    its edges lie within their ranges.
+    """The ranges of the edges with the readings that were left out, and the variant with the best ones.
 
     Windows that are met worse there than any other stay out: there errors of maps act as they did before.
     """
@@ -204,7 +212,7 @@ def _dated_with_all_readings(
         at = recentred(_with_all_readings(found, worse), _with_course(best.fit, dated))
     if worse.any() or moves:
         ranges, dated = _ranges(at, dated, within)
-    return ranges, variant if _holds(ranges, variant) else dated
+    return ranges, dated
 
 
 def _worse_than_any(at: Linearisation, windows: np.ndarray) -> np.ndarray:
@@ -215,9 +223,13 @@ def _worse_than_any(at: Linearisation, windows: np.ndarray) -> np.ndarray:
     return np.asarray(windows & (left > left[~windows].max(initial=0.0)))
 
 
-def _holds(ranges: Ranges, variant: Variant) -> bool:
-    edges = {"onset_s": variant.onset_s, "until_s": variant.until_s}
-    return all(low <= (edges[name] or 0.0) <= high for name, (low, high) in ranges.items())
+def _holds(ranges: Ranges, variant: Variant, beyond_s: float = 0.0) -> bool:
+    """Whether a variant's edges lie within ranges that may reach so much further [s]."""
+    return all(low - beyond_s <= _date_of(variant, name) <= high + beyond_s for name, (low, high) in ranges.items())
+
+
+def _date_of(variant: Variant, name: str) -> float:
+    return float((variant.onset_s if name == "onset_s" else variant.until_s) or 0.0)
 
 
 def _explain_at(found: Search, variant: Variant) -> None:
