@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from copy import copy
 from dataclasses import replace
+from functools import partial
 from typing import cast
 
 import numpy as np
@@ -31,6 +32,7 @@ Ranges = dict[str, tuple[float, float]]
 _AS_GOOD = 4.0  # of -2 log likelihood: two standard deviations
 _AT_ONCE = 2  # windows to either side that are tried at once, and further ones where the outermost is as good
 _RESOLVED_S = 0.25  # of the ends of a range: what is said has whole seconds
+_RESOLVED = 0.03  # the same of what is wide, as a share of it
 _RASTER_S = 1.0  # of the dates that the search tries: one that is off by less isn't worth a refit
 
 
@@ -58,7 +60,13 @@ def date_edges(found: Search) -> None:
     found.seconds["dates"] = time.perf_counter() - clock
 
 
-def objectives(at: Linearisation, variants: Sequence[Variant]) -> Array:
+def without_effect(at: Linearisation) -> Array:
+    """What the readings leave without the explanation's effect (rows,), in its metric."""
+    alone = replace(at.fit, candidate=Candidate(), magnitudes=np.zeros(0))
+    return np.asarray(at.metric.project(np.nan_to_num(at.twin.measured - simulate_fits(at.twin, [alone])))[0])
+
+
+def objectives(at: Linearisation, variants: Sequence[Variant], without: Array) -> Array:
     """What each of some courses of the explanation's effect leaves (D,), simulated with the health of one fit.
 
     Parameters, size, initial states and tolerances move linearly from there: a step of a refit, without its rounds.
@@ -66,20 +74,19 @@ def objectives(at: Linearisation, variants: Sequence[Variant]) -> Array:
     Args:
         at: the explanation, linearised about itself.
         variants: its effect with other edges.
+        without: as of `without_effect`.
     """
     twin, size = at.twin, float(at.fit.magnitudes[0])
-    fits = [_with_course(at.fit, variant) for variant in variants]
-    alone = replace(at.fit, candidate=Candidate(), magnitudes=np.zeros(0))
-    simulated = simulate_fits(twin, [*fits, alone])
-    acting = at.metric.project((simulated[:-1] - simulated[-1]) / size)
-    left = at.metric.project(np.nan_to_num(twin.measured - simulated[:-1]))
+    simulated = simulate_fits(twin, [_with_course(at.fit, variant) for variant in variants])
+    left = at.metric.project(np.nan_to_num(twin.measured - simulated))
+    acting = (without - left) / size
     rows, known = left.shape[1], len(twin.parameters)
     prior = np.sqrt(at.precision[:known]) * at.pulled_residual[rows : rows + known]
     information = np.empty((known + 1, known + 1))
     information[:known, :known] = at.projected[:known] @ at.projected[:known].T + np.diag(at.precision[:known])
     found = np.full(len(variants), np.inf)
     ran = np.array([bool(np.isfinite(each).all()) for each in simulated])
-    for k in np.flatnonzero(ran[:-1] & ran[-1]):
+    for k in np.flatnonzero(ran):
         information[known, :known] = information[:known, known] = at.projected[:known] @ acting[k]
         information[known, known] = acting[k] @ acting[k]
         gradient = np.append(at.projected[:known] @ left[k] + prior, acting[k] @ left[k])
@@ -94,17 +101,18 @@ def _with_course(fit: Fit, variant: Variant) -> Fit:
 def _ranges(at: Linearisation, variant: Variant, within: float) -> tuple[Ranges, Variant]:
     """The range of each edge that there is, the other one held, and the variant with the best of them."""
     first_s = float(at.twin.time_s[0])
-    onset, until = float(variant.onset_s or 0.0), variant.until_s
+    onset, until, without = float(variant.onset_s or 0.0), variant.until_s, without_effect(at)
     found: Ranges = {}
     last = variant.gone[-1][1] if variant.gone else onset
     if onset > first_s:
         end = variant.gone[0][0] if variant.gone else until
-        edge = _Edge(at, lambda t: at_times(at.twin, variant, t, until, variant.grows, variant.gone), first_s, end)
+        begins = partial(at_times, at.twin, variant, until_s=until, grows=variant.grows, gone=variant.gone)
+        edge = _Edge(at, without, begins, first_s, end)
         found["onset_s"] = edge.range_about(onset, within)
         onset = edge.best
     if until is not None:
-        begun = onset
-        edge = _Edge(at, lambda t: at_times(at.twin, variant, begun, t, False, variant.gone), max(last, onset), None)
+        ends = partial(at_times, at.twin, variant, onset, grows=False, gone=variant.gone)
+        edge = _Edge(at, without, ends, max(last, onset), None)
         found["until_s"] = edge.range_about(until, within)
         until = edge.best
     return found, at_times(at.twin, variant, onset, until, variant.grows, variant.gone)
@@ -114,13 +122,15 @@ class _Edge:
     """Objectives of an explanation over the date of one of its edges.
 
     Args:
-        at: the explanation.
+        at: the explanation; without: as of `without_effect`.
         with_date: the variant with the edge at a time of the twin.
         after_s, before_s: limits of the edge; None: the recording's end.
     """
 
-    def __init__(self, at: Linearisation, with_date: WithDate, after_s: float, before_s: float | None) -> None:
-        self.at, self.with_date = at, with_date
+    def __init__(
+        self, at: Linearisation, without: Array, with_date: WithDate, after_s: float, before_s: float | None
+    ) -> None:
+        self.at, self.without, self.with_date = at, without, with_date
         time_s = at.twin.time_s
         last = float(time_s[-1]) if before_s is None else before_s
         inside = np.flatnonzero((time_s > after_s) & (time_s < last))
@@ -149,7 +159,8 @@ class _Edge:
             ends = max(good[0] - 1, 0), min(good[-1] + 1, len(tried) - 1)
             between = [(k - 1, k) for k in (good[0], good[-1] + 1, best, best + 1) if 0 < k < len(tried)]
             gaps = {(tried[a], tried[b]) for a, b in between}
-            middles = {(a + b) // 2 for a, b in gaps if b - a > 1 and times[b] - times[a] > _RESOLVED_S}
+            least = max(_RESOLVED_S, _RESOLVED * float(times[tried[good[-1]]] - times[tried[good[0]]]))
+            middles = {(a + b) // 2 for a, b in gaps if b - a > 1 and times[b] - times[a] > least}
             if not middles:
                 return float(times[tried[ends[0]]]), float(times[tried[ends[1]]])
             self._try(sorted(middles))
@@ -169,7 +180,7 @@ class _Edge:
 
     def _try(self, rows: Sequence[int]) -> None:
         times = self.at.twin.time_s
-        values = objectives(self.at, [self.with_date(float(times[row])) for row in rows])
+        values = objectives(self.at, [self.with_date(float(times[row])) for row in rows], self.without)
         self.known.update({int(row): float(value) for row, value in zip(rows, values, strict=True)})
 
 

@@ -10,7 +10,7 @@ import pytest
 from dieseltwin.discovery.likelihood.fit import Linearisation
 from dieseltwin.discovery.search import run as search
 from dieseltwin.discovery.search.courses import at_times
-from dieseltwin.discovery.search.dating import _with_course, date_edges, objectives
+from dieseltwin.discovery.search.dating import _with_course, date_edges, objectives, without_effect
 from dieseltwin.discovery.search.preparation import recentred
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.search.variants import Variant
@@ -45,7 +45,7 @@ def test_dates_are_weighed_as_refits_weigh_them(found: Search) -> None:
     begun = float(variant.onset_s or 0.0)
     steps = (-8.0, -3.0, -1.0, 0.0, 1.0, 3.0, 8.0)
     dated = [at_times(found.twin, variant, begun + step, None, False) for step in steps]
-    quick = objectives(best, dated)
+    quick = objectives(best, dated, without_effect(best))
     refitted = np.array([recentred(found, _with_course(best.fit, other)).fit.objective for other in dated])
     assert quick - quick[3] == pytest.approx(refitted - refitted[3], rel=0.1, abs=0.5)
 
