@@ -10,6 +10,7 @@ from markupsafe import Markup
 from dieseltwin.discovery.verdict.curves import Candidate
 from dieseltwin.discovery.verdict.document import Discrepancy, FoundEffect
 from dieseltwin.discovery.verdict.health_value import HealthValue
+from dieseltwin.discovery.verdict.left_out import left_out_words
 from dieseltwin.discovery.verdict.when import when_words
 from dieseltwin.least_squares import Z_90
 from dieseltwin.report import quantities
@@ -211,6 +212,7 @@ def provenance(document: Discrepancy, *more: tuple[str, str]) -> list[tuple[str,
         ("length", f"{recording.duration_s:.1f} s" if recording.duration_s else ""),
         ("sensors used", ", ".join(recording.channels)),
         ("p-value of no mismatch", f"{document.p_value:.3g}" if document.p_value > 0.0 else "below 1e-300"),
+        ("not used", "" if document.left_out is None else left_out_words(document.left_out)),
         *more,
         ("code version", document.provenance.code_version),
         ("SHA-256 of the parameters", document.provenance.params_sha256),

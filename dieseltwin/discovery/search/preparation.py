@@ -22,6 +22,7 @@ from dieseltwin.discovery.likelihood.fit import (
 )
 from dieseltwin.discovery.likelihood.known import KnownErrors
 from dieseltwin.discovery.likelihood.learned import (
+    LearnedTwin,
     about,
     belief_of,
     learned_nuisances,
@@ -70,6 +71,7 @@ def prepare(twin: Twin, settings: SearchSettings, beside: Fit | None = None) -> 
     clock = time.perf_counter()
     if not _tried(twin, settings):
         raise InputError("withhold", "every effect that this machine has", "fewer", "leave one or more to be tried")
+    readings = twin.measured.copy()
     noise = twin.noise() if isinstance(twin, KnownErrors) else estimate_noise(twin.measured)
     whitening = _whitening(twin, noise)
     rough = fit_fully(twin, whitening, beside or first_fit(twin), rounds=5)
@@ -105,6 +107,8 @@ def prepare(twin: Twin, settings: SearchSettings, beside: Fit | None = None) -> 
         alone = replace(null.fit, candidate=Candidate(), magnitudes=np.zeros(0), covariance=None)
         found.best, found.null = null, fit_fully(twin, null.whitening, alone, frozen=null)
     found.left_out, found.nuisances, found.scatter = crooked, nuisances, scatter
+    readings -= twin.moved if isinstance(twin, LearnedTwin) else 0.0
+    found.hidden = np.where(rows_of(twin, crooked)[:, None], readings, np.nan)
     found.seconds["prepare"] = time.perf_counter() - clock
     return found
 
@@ -169,6 +173,7 @@ def prepared_about(found: Search, fit: Fit) -> Search:
     at = fit_fully(twin, found.whitening, found.null.fit, responses, loadings=loadings_of(nuisances))
     renewed = _scored(settle_local(at), found.noise, found.settings)
     renewed.left_out, renewed.nuisances, renewed.scatter = found.left_out, nuisances, found.scatter
+    renewed.hidden = found.hidden
     renewed.seconds["prepare"] = found.seconds["prepare"] + time.perf_counter() - clock
     return renewed
 

@@ -34,6 +34,7 @@ from dieseltwin.discovery.search.circumstances import (
     with_reading_in_time,
 )
 from dieseltwin.discovery.search.courses import has_parts
+from dieseltwin.discovery.search.dating import date_edges
 from dieseltwin.discovery.search.explanations import (
     beyond_law,
     choose,
@@ -118,6 +119,8 @@ def carry_on(
         if found.kind != "law" and (found.kind != "healthy" or raises_alarm(found, found.singles[0])):
             choose_so_far(found)
     found.earlier = []
+    if not found.unfinished:
+        date_edges(found)
     return _with_inputs_between_rows(found, laws, None if time_s is None else time_s - (time.perf_counter() - began))
 
 

@@ -44,6 +44,9 @@ class Search:
         variant, law: where the kind is that.
         refused: kind of the explanation by name that was refused; "" for none.
         left_out: (W,) windows that don't count.
+        hidden: (n, C) readings in those, without what `twin.moved` holds, NaN elsewhere; None: not known.
+        onset_range_s, until_range_s: dates in the time of the twin between which an onset and an end can't be told
+            [s]; None: there is none, or it wasn't asked.
         seconds: stage -> time that it took [s].
         standing: nearly all is explained by a valve that stands still, found before anything was scored.
         stage, unfinished: what is looked at, and the stages that no time was left for.
@@ -79,6 +82,9 @@ class Search:
     nuisances: list[Nuisance] = field(default_factory=list)
     scatter: ModelScatter | None = None
     left_out: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    hidden: np.ndarray | None = None
+    onset_range_s: tuple[float, float] | None = None
+    until_range_s: tuple[float, float] | None = None
     seconds: dict[str, float] = field(default_factory=dict)
     standing: bool = False
     stage: str = ""

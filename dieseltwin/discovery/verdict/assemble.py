@@ -116,6 +116,7 @@ def assemble(
             out_of_time=OutOfTime(limit_s=time_s or 0.0, unfinished=found.unfinished) if found.unfinished else None,
             recordings=judged(found, days, (parameters, covariance), since, said.sizes),
             circumstances=tuple(found_circumstance(item) for item in said.circumstances),
+            left_out=findings.left_out(found, twin),
         )  # fmt: skip
         terms = _terms(found, location, twin, said.fit) if location is not None else ()
         return Discovery(

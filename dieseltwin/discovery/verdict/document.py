@@ -17,6 +17,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from dieseltwin.atomic import write_json
 from dieseltwin.discovery.verdict.health_value import HealthValue, NotNegative
+from dieseltwin.discovery.verdict.left_out import LeftOut
 from dieseltwin.engine.courses import Spans
 from dieseltwin.errors import InputError
 from dieseltwin.notes import Note, warnings_of
@@ -75,10 +76,10 @@ class Location(FrozenModel):
 
     `only_in`: the conditions in which alone it acts, by their columns, None where such a range is open at that end; and
     `regions`: the box that holds most of the evidence, whether it acts outside or not.
-    `until_s`: before when, where it went again. `grows`: its size isn't constant but grows evenly from nothing at the
-    onset to what is stated, at the recording's end. `gone_s`: spans in between in which it was gone. They are in the
-    document where they are so alone.
-    Of several recordings: the date of the first that shows it, and of the last one before, where that is known.
+    `until_s`: before when, where it went again. `grows`: its size grows evenly from nothing at the onset to what is
+    stated, at the recording's end. `gone_s`: spans in between in which it was gone. They are there where they are so.
+    `onset_range_s`, `until_range_s`: within two standard deviations, of one recording by itself.
+    Of several recordings: date of the first that shows it, and of the last one before, where that is known.
     """
 
     site: Name
@@ -86,7 +87,9 @@ class Location(FrozenModel):
     alternatives: tuple[Alternative, ...] = ()
     regions: tuple[FoundRegion, ...] = ()
     onset_s: float | None = None
+    onset_range_s: Range | None = where_told()
     until_s: float | None = where_told()
+    until_range_s: Range | None = where_told()
     grows: bool = where_told(False)
     gone_s: Spans = where_told(())
     onset_date: str | None = None
@@ -165,8 +168,7 @@ class SizeValue(FrozenModel):
 
 
 class JudgedRecording(FrozenModel):
-    """One of several recordings that were judged together: where it lies, when it was made and how that is known, its
-    ambient, the health parameters in it, and the size of every effect that was found."""
+    """One of several recordings judged together: path, date and how that is known, ambient, health, size of effects."""
 
     path: str
     sha256: str
@@ -180,10 +182,9 @@ class JudgedRecording(FrozenModel):
 
 
 class Fit(FrozenModel):
-    """How well readings are met before and after: negative log-likelihood per row on the held-out part of so many rows,
-    chi-square per reading (`beyond`: of what is left where maps, sensors and weather are as far off as they most likely
-    are), root mean square of the residuals per channel [unit of the column], and the share of the misfit beyond noise
-    and tolerances that the explanation takes away [-]. Null where not known."""
+    """How well readings are met before and after: negative log-likelihood per row of the held-out part, chi-square per
+    reading (`beyond`: of what is left with maps, sensors and weather as far off as they most likely are), rms residual
+    per channel [unit of the column], and the share of the misfit that is explained [-]. Null where not known."""
 
     held_out_nll_before: float | None
     held_out_nll_after: float | None
@@ -219,8 +220,7 @@ class FoundCircumstance(FrozenModel):
 
     Names are columns of the ambient and of the charge (`p_amb_pa`, `t_amb_k`, `t_im_k`), `drift:p_amb_pa` from the
     first row to the last, `scale:u_delta_mg` (true over recorded) and `time_shift:<column>` (recorded late by it).
-    Of several recordings, `recording` is the number of its own. `read`: a column gives it and is believed, within what
-    such a sensor may be off; a column that is plainly wrong isn't.
+    Of several recordings, `recording` is its number. `read`: a column gives it and is believed, unless plainly wrong.
     """
 
     name: Name
@@ -259,12 +259,11 @@ class OutOfTime(FrozenModel):
 class Discrepancy(FrozenModel):
     """The whole document. Healthy: `mismatch` false, no effects, no location. Two effects: strongest first.
 
-    `out_of_time`: the search was ended before it was through; None where it was. `more_is_missing`: what the effects
-    leave is beyond noise and tolerances; something else is left out as well. `too_small`: of a healthy one, the name
-    that explains what differs by more than chance, and is smaller than what is of interest. `minimum_detectable`: size
-    at which half of such recordings show an effect. `surely_detectable`: of a healthy one, the size of interest that 19
-    of 20 would have shown. `health_bias`: what an effect of its `minimum_detectable` size, unseen, would move health
-    by: effect -> health parameter -> its relative change [-].
+    `out_of_time`: the search was ended before it was through. `more_is_missing`: what the effects leave is beyond noise
+    and tolerances. `too_small`: of a healthy one, the name that explains what differs by more than chance, and is
+    smaller than what is of interest. `minimum_detectable`: size at which half of such recordings show an effect.
+    `surely_detectable`: of a healthy one, the size of interest that 19 of 20 would have shown. `health_bias`: what an
+    effect of its `minimum_detectable` size, unseen, would move health by: effect -> parameter -> relative change [-].
     """
 
     schema_version: Literal[1] = Field(1, alias="schema")
@@ -286,6 +285,7 @@ class Discrepancy(FrozenModel):
     recordings: tuple[JudgedRecording, ...] = where_told(())
     warnings: tuple[Doubt, ...] = ()
     out_of_time: OutOfTime | None = where_told()
+    left_out: LeftOut | None = where_told()
 
     @model_validator(mode="after")
     def _consistent(self) -> Discrepancy:

@@ -13,9 +13,10 @@ from dieseltwin.discovery.likelihood.score import surely_found
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.search.variants import Region, Variant, inside_region
 from dieseltwin.discovery.twins.diesel import EngineTwin
-from dieseltwin.discovery.twins.interface import Array, Twin
+from dieseltwin.discovery.twins.interface import Array, Twin, rows_of
 from dieseltwin.discovery.twins.several import SeveralTwin
 from dieseltwin.discovery.verdict.document import NONE_OF_THESE, Alternative, FoundEffect, FoundRegion, Location
+from dieseltwin.discovery.verdict.left_out import LeftOut
 from dieseltwin.discovery.verdict.reasons import split_by
 from dieseltwin.discovery.verdict.when import CONDITIONS
 from dieseltwin.symbols import INPUT_COLUMNS
@@ -37,7 +38,31 @@ def location(found: Search, twin: EngineTwin | SeveralTwin, evidence: Array) -> 
         site_probabilities(found),
         regions=_regions(twin, evidence, variant.region if variant else None), only_in=_only_in(found),
         **({} if variant is None else times_since_start(twin, variant)), **_since_of_law(found, twin),
+        **_ranges_of_dates(found, twin),
     )
+
+
+def _ranges_of_dates(found: Search, twin: Twin) -> dict[str, Any]:
+    """Between which dates an onset and an end lie, by the fields of `Location`."""
+    ranges = {"onset_range_s": found.onset_range_s, "until_range_s": found.until_range_s}
+    if found.kind != "variant":
+        return {}
+    return {name: (since_start(twin, dates[0]), since_start(twin, dates[1]))
+            for name, dates in ranges.items() if dates is not None}  # fmt: skip
+
+
+def left_out(found: Search, twin: EngineTwin | SeveralTwin) -> LeftOut | None:
+    """The windows that weren't used, side by side as one span; None where all were."""
+    rows = rows_of(twin, found.left_out) if found.left_out.any() else np.zeros(0, dtype=bool)
+    if not rows.any():
+        return None
+    if isinstance(twin, SeveralTwin):
+        return LeftOut(share=float(rows.mean()))
+    time_s = twin.recording_time_s - twin.start_s
+    begins = np.flatnonzero(np.diff(rows.astype(int), prepend=0) == 1)
+    ends = np.minimum(np.flatnonzero(np.diff(rows.astype(int), append=0) == -1) + 1, rows.size - 1)
+    spans = tuple((float(time_s[a]), float(time_s[b])) for a, b in zip(begins, ends, strict=True))
+    return LeftOut(share=float(rows.mean()), spans_s=spans)
 
 
 def _only_in(found: Search) -> dict[str, tuple[float | None, float | None]]:

@@ -14,6 +14,7 @@ CONDITIONS: Mapping[str, tuple[str, str]] = {
 """Column of an operating condition -> its symbol and unit."""
 
 _LISTED = 4  # spans; more are counted
+_PLAIN_S = 2.0  # a date that is known to this is said by itself
 
 
 def clock(seconds: float) -> str:
@@ -27,6 +28,26 @@ def _span(first_s: float, last_s: float) -> str:
     return f"from {first_s:.0f} to {last_s:.0f} s{minutes}"
 
 
+def _range(dates: tuple[float, float] | None) -> str:
+    """Between which dates, `250 to 290 s`; empty where they are as good as one."""
+    return "" if dates is None or dates[1] - dates[0] <= _PLAIN_S else f"{dates[0]:.0f} to {dates[1]:.0f} s"
+
+
+def _dated(seconds: float, dates: tuple[float, float] | None) -> str:
+    """A date with those that explain as much, `288 s (250 to 290 s)`."""
+    date, others = clock(seconds), _range(dates)
+    if not others:
+        return date
+    return f"{date[:-1]}; {others})" if date.endswith(")") else f"{date} ({others})"
+
+
+def _ends(where: Location) -> str:
+    """Between which dates a span with two edges began and ended, in brackets."""
+    dates = (("begun at", _range(where.onset_range_s)), ("gone at", _range(where.until_range_s)))
+    said = [f"{word} {others}" for word, others in dates if others]
+    return f" ({', '.join(said)})" if said else ""
+
+
 def when_words(where: Location) -> str:
     """Since when, until when, and whether it grows, on one recording; or the driving in which alone it acts."""
     onset, until = where.onset_s, where.until_s
@@ -35,11 +56,13 @@ def when_words(where: Location) -> str:
     if where.gone_s:
         return _in_parts(where)
     if where.grows:
-        return f"at the end, grown evenly from nothing since {'the start' if onset is None else clock(onset)}"
+        begun = "the start" if onset is None else _dated(onset, where.onset_range_s)
+        return f"at the end, grown evenly from nothing since {begun}"
     if until is not None:
-        span = f"until {clock(until)}" if onset is None else _span(onset, until)
+        alone = f"until {_dated(until, where.until_range_s)}"
+        span = alone if onset is None else f"{_span(onset, until)}{_ends(where)}"
         return f"{span}, and gone since then"
-    return "from the start" if onset is None else f"since {clock(onset)}"
+    return "from the start" if onset is None else f"since {_dated(onset, where.onset_range_s)}"
 
 
 def only_in_words(where: Location) -> str:
