@@ -44,6 +44,7 @@ from dieseltwin.learning.belief import (
     prior_belief,
     with_further,
 )
+from dieseltwin.learning.faults import FaultBeside
 from dieseltwin.notes import counted
 from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.derived import Made
@@ -77,6 +78,8 @@ class LearnedEngine:
         clocks: column -> how late it is recorded, of those whose clock is off in these recordings [s].
         converged: whether the fit of all recordings came to rest; else the covariance may be too small.
         suspected: by what the recordings look as if the engine hadn't been well, a sentence each.
+        faults: the main faults as the recordings say them where no map is off by more than usual; none where an earlier
+            version learned it.
     """
 
     base: EngineParameters
@@ -90,6 +93,7 @@ class LearnedEngine:
     clocks: Mapping[str, float] = field(default_factory=dict)
     converged: bool = True
     suspected: tuple[str, ...] = ()
+    faults: tuple[FaultBeside, ...] = ()
 
     @property
     def errors(self) -> float:
@@ -202,7 +206,7 @@ def _parquet(learned: LearnedEngine) -> bytes:
     about = {
         "schema": SCHEMA, "code_version": __version__, "map_rms": learned.map_rms, "domain": learned.domain,
         "further": asdict(learned.further), "clocks": dict(learned.clocks), "converged": learned.converged,
-        "suspected": list(learned.suspected),
+        "suspected": list(learned.suspected), "faults": [asdict(item) for item in learned.faults],
         "base": learned.base.model_dump(mode="json"),
         "recordings": [
             {
@@ -249,7 +253,7 @@ def _parsed(content: bytes, where: Path) -> LearnedEngine:
         {point: {k: (v[0], v[1]) for k, v in ends.items()} for point, ends in about["domain"].items()},
         {row["sha256"]: float(row["misfit"]) for row, _ in known}, prior, Further(**further),
         dict(about.get("clocks", {})), bool(about.get("converged", True)),
-        tuple(about.get("suspected", ())),
+        tuple(about.get("suspected", ())), tuple(FaultBeside(**item) for item in about.get("faults", ())),
     )  # fmt: skip
 
 
