@@ -8,6 +8,7 @@ with the fault in the engine, and the size is that about which these fits fall o
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Protocol
 
 import numpy as np
@@ -18,15 +19,16 @@ from dieseltwin.learning.faults import FaultBeside
 MAIN = ("exhaust_leak", "boost_leak", "back_pressure", "air_filter_restriction", "injector_drift")
 """Faults of an engine that a reference would hide best, as maps look like them."""
 
-_TRIAL = 3.0  # tolerances; the first size that is fitted
-_DOUBLINGS = 3  # of it, while the fit gets better
+_TRIAL = 2.0  # tolerances; the first size that is fitted
+_DOUBLINGS = 4  # of it, while the fit gets better
+_NEAREST, _FARTHEST = 0.25, 3.0  # times the first size, of the second where the first was no better
 
 
 class FittedTogether(Protocol):
     """All recordings of a reference at their joint fit."""
 
-    def beside(self, effect: str, size: float) -> FittedTogether:
-        """Fitted from here on with an effect of a size in the engine."""
+    def beside(self, effect: str, size: float, anew: bool) -> FittedTogether:
+        """Fitted from here on with an effect of a size in the engine, `anew`: with sensitivities taken there."""
         ...
 
     def cost(self) -> float:
@@ -38,47 +40,54 @@ class FittedTogether(Protocol):
         ...
 
 
-def main_faults(healthy: FittedTogether) -> tuple[FaultBeside, ...]:
-    """Every main fault that the recordings can show, the likeliest first."""
+def main_faults(healthy: FittedTogether, told: float, anew: bool = False) -> tuple[FaultBeside, ...]:
+    """Every main fault that the recordings can show, the likeliest first.
+
+    Args:
+        healthy: the fit without any; told: decrease of -2 log posterior from which on an effect is said.
+        anew: take sensitivities anew beside every fault: five times as long. Old ones do where none is there.
+    """
     known = healthy.hypotheses()
-    settled = healthy.beside(MAIN[0], 0.0)
-    found = (_fitted(settled, known[name]) for name in MAIN if name in known)
+    settled = healthy.beside(MAIN[0], 0.0, anew)
+    found = (_fitted(settled, known[name], told, anew) for name in MAIN if name in known)
     return tuple(sorted((item for item in found if item is not None), key=lambda item: -item.gain))
 
 
-def _fitted(healthy: FittedTogether, effect: Hypothesis) -> FaultBeside | None:
+def _fitted(healthy: FittedTogether, effect: Hypothesis, told: float, anew: bool) -> FaultBeside | None:
     """The likeliest size of an effect, by fits at some; None where they don't fall off about any."""
     low, high = effect.limits
-    sizes, costs = [0.0], [healthy.cost()]
     size = _TRIAL * effect.tolerance
-    for doubling in range(1 + _DOUBLINGS):
-        tried = [size] if doubling or low >= 0.0 else [size, -size]
-        fits = {at: healthy.beside(effect.name, at).cost() for at in tried if low <= at <= high}
-        if not fits:
+    costs = {at: healthy.beside(effect.name, at, anew).cost() for at in (size, -size) if low <= at <= high}
+    costs[0.0] = least = healthy.cost()
+    best = min(costs, key=lambda at: costs[at])
+    if best == 0.0 and len(costs) < 3:  # where it would just be said
+        size *= float(np.clip((told / max(costs[size] - least, 1.0)) ** 0.5, _NEAREST, _FARTHEST))
+        costs[size] = healthy.beside(effect.name, size, anew).cost()
+    for _ in range(_DOUBLINGS):
+        if best == 0.0 or not low <= 2.0 * best <= high:
             break
-        sizes += fits
-        costs += fits.values()
-        best = min(fits, key=lambda at: fits[at])
-        if len(sizes) > 2 and fits[best] >= min(costs[: len(costs) - len(fits)]):
+        costs[2.0 * best] = healthy.beside(effect.name, 2.0 * best, anew).cost()
+        if costs[2.0 * best] >= costs[best]:
             break
-        size = 2.0 * best
-    return fitted_size(effect, np.array(sizes), np.array(costs))
+        best *= 2.0
+    return fitted_size(effect, {at: cost - least for at, cost in costs.items()})
 
 
-def fitted_size(effect: Hypothesis, sizes: np.ndarray, costs: np.ndarray) -> FaultBeside | None:
+def fitted_size(effect: Hypothesis, costs: Mapping[float, float]) -> FaultBeside | None:
     """A parabola through the costs of three sizes about the least; None where it isn't curved upwards.
 
     Args:
         effect: what was fitted.
-        sizes: (n,) of it, nought first [unit]; costs: (n,) -2 log posterior.
+        costs: -2 log posterior at sizes [unit], over that without it.
     """
-    if sizes.size < 3:
+    if len(costs) < 3:
         return None
-    near = np.argsort(np.abs(sizes - sizes[np.argmin(costs)]), kind="stable")[:3]
-    curve, slope, level = np.polyfit(sizes[near] / effect.tolerance, costs[near] - costs[0], 2)
+    least = min(costs, key=lambda at: costs[at])
+    near = sorted(costs, key=lambda at: (abs(at - least), at))[:3]
+    curve, slope, _ = np.polyfit(np.array(near) / effect.tolerance, [costs[at] for at in near], 2)
     if not curve > 0.0:
         return None
-    best = float(np.clip(-0.5 * slope / curve, *(limit / effect.tolerance for limit in effect.limits)))
-    gain = -float((curve * best + slope) * best + level)
-    return FaultBeside(effect.name, effect.unit, effect.tolerance * best, effect.tolerance * float(curve) ** -0.5,
-                       max(gain, 0.0), effect.tolerance)  # fmt: skip
+    low, high = (limit / effect.tolerance for limit in effect.limits)
+    size = float(np.clip(-0.5 * slope / curve, low, high)) if least != 0.0 else 0.0
+    return FaultBeside(effect.name, effect.unit, effect.tolerance * size, effect.tolerance * float(curve) ** -0.5,
+                       max(-costs[least], 0.0), effect.tolerance)  # fmt: skip

@@ -36,7 +36,8 @@ from dieseltwin.settings.discovery import LearnConfig
 
 _NEAR = 0.02  # of -2 log posterior that a step promises, when the noise is estimated from what is left
 _ROUNDS = 12
-_BESIDE = (4, 2e-4)  # rounds and nearness of a fit beside a fault
+_BESIDE = 5e-5  # of -2 log posterior that a step promises, below which a fit beside a fault is there
+_SLIDES, _ROUNDS_BESIDE = 6, 4
 _LOOKS = 2  # for further errors of the maps: far from them the readings' information is another
 _CONVERGED = 0.05  # predicted decrease of -2 log posterior: a twentieth of a standard deviation squared, of any mix
 _LEFT_TO_NEXT = 0.2  # of that, below which steps with old sensitivities promise nothing
@@ -131,7 +132,8 @@ def learn(
         asked = further_errors(usual, map_rms, *joint.of_all_functions(), joint.by_an_effect)
         if asked == further:
             break
-        beside = beside or main_faults(joint)  # once maps may be off by more, they take a fault up
+        # once maps may be off by more, they take a fault up
+        beside = beside or main_faults(joint, settings.suspicious_gain, anew=True)
         prior, further = with_further(usual, map_rms, asked), asked
         joint.begin(prior)  # the usual maps' fit lies where steps stop short of a minimum
         joint.fit(_ROUNDS, _NEAR)
@@ -149,7 +151,7 @@ def learn(
     least = default_search().driving.alarm_size
     suspicions = tuple(item for item in joint.suspicions(settings.suspicious_gain) if item.tolerances >= least)
     return Learned(combined(prior, evidence), evidence, converged, further, suspicions, joint.clocks(), joint.strange(),
-                   beside or main_faults(joint))  # fmt: skip
+                   beside or main_faults(joint, settings.suspicious_gain))  # fmt: skip
 
 
 class _Joint:
@@ -211,13 +213,26 @@ class _Joint:
             self._linearise()
         return self._step(cho_factor(self._information()))[1] < _STUCK * self.unknowns
 
-    def beside(self, effect: str, size: float) -> _Joint:
-        """All recordings fitted from here on with an effect of a size in the engine; this fit stays as it is."""
+    def beside(self, effect: str, size: float, anew: bool) -> _Joint:
+        """All recordings fitted from here on with an effect of a size in the engine; this fit stays as it is.
+
+        Args:
+            anew: take new sensitivities there; else those of here have to do.
+        """
         other = copy(self)
         other.parts = [part.beside(effect, size) for part in self.parts]
         other._simulate()
-        other._project()  # with the sensitivities of here
-        other.fit(*_BESIDE)
+        other._project()
+        before = np.inf
+        factor = cho_factor(other._information())
+        for _ in range(_SLIDES):
+            step, predicted = other._step(factor)
+            if predicted < _BESIDE * other.cost() or predicted > _STALLED * before or not other._advance(step):
+                break
+            before = predicted
+        if anew:
+            other._linearise()
+            other.fit(_ROUNDS_BESIDE, _BESIDE)
         return other
 
     def _put_right(self) -> None:
