@@ -14,6 +14,7 @@ class FaultBeside:
         size, std: the likeliest, and its standard deviation by how the fits fall off about it [unit].
         gain: decrease of -2 log posterior against a healthy engine, of the likeliest size.
         tolerance: smallest size of interest [unit].
+        rival: decrease that larger or further errors of the maps promise in its place; 0 where none were asked for.
     """
 
     name: str
@@ -22,3 +23,12 @@ class FaultBeside:
     std: float
     gain: float
     tolerance: float
+    rival: float = 0.0
+
+    def told(self, least: float) -> bool:
+        """Whether a reference with it looks faulty: it gains as much as is asked, and more than errors of maps."""
+        return self.gain > max(least, self.rival) and abs(self.size) > self.tolerance
+
+    def hidden(self, least: float) -> float:
+        """Size up to which it could be there and would not be said [unit], by the fits beside it."""
+        return self.std * float(max(least, self.rival) ** 0.5)

@@ -40,22 +40,23 @@ class FittedTogether(Protocol):
         ...
 
 
-def main_faults(healthy: FittedTogether, told: float, anew: bool = False) -> tuple[FaultBeside, ...]:
+def main_faults(healthy: FittedTogether, told: float, rival: float = 0.0) -> tuple[FaultBeside, ...]:
     """Every main fault that the recordings can show, the likeliest first.
 
     Args:
         healthy: the fit without any; told: decrease of -2 log posterior from which on an effect is said.
-        anew: take sensitivities anew beside every fault: five times as long. Old ones do where none is there.
+        rival: the decrease that further errors of the maps promise; 0 where none are asked for. Where some are,
+            sensitivities are taken anew beside every fault, which takes five times as long.
     """
-    known = healthy.hypotheses()
+    known, anew = healthy.hypotheses(), rival > 0.0
     settled = healthy.beside(MAIN[0], 0.0, anew)
-    found = (_fitted(settled, known[name], told, anew) for name in MAIN if name in known)
+    found = (_fitted(settled, known[name], told, rival) for name in MAIN if name in known)
     return tuple(sorted((item for item in found if item is not None), key=lambda item: -item.gain))
 
 
-def _fitted(healthy: FittedTogether, effect: Hypothesis, told: float, anew: bool) -> FaultBeside | None:
+def _fitted(healthy: FittedTogether, effect: Hypothesis, told: float, rival: float) -> FaultBeside | None:
     """The likeliest size of an effect, by fits at some; None where they don't fall off about any."""
-    low, high = effect.limits
+    (low, high), anew = effect.limits, rival > 0.0
     size = _TRIAL * effect.tolerance
     costs = {at: healthy.beside(effect.name, at, anew).cost() for at in (size, -size) if low <= at <= high}
     costs[0.0] = least = healthy.cost()
@@ -70,15 +71,15 @@ def _fitted(healthy: FittedTogether, effect: Hypothesis, told: float, anew: bool
         if costs[2.0 * best] >= costs[best]:
             break
         best *= 2.0
-    return fitted_size(effect, {at: cost - least for at, cost in costs.items()})
+    return fitted_size(effect, {at: cost - least for at, cost in costs.items()}, rival)
 
 
-def fitted_size(effect: Hypothesis, costs: Mapping[float, float]) -> FaultBeside | None:
+def fitted_size(effect: Hypothesis, costs: Mapping[float, float], rival: float = 0.0) -> FaultBeside | None:
     """A parabola through the costs of three sizes about the least; None where it isn't curved upwards.
 
     Args:
         effect: what was fitted.
-        costs: -2 log posterior at sizes [unit], over that without it.
+        costs: -2 log posterior at sizes [unit], over that without it; rival: as of `main_faults`.
     """
     if len(costs) < 3:
         return None
@@ -90,4 +91,4 @@ def fitted_size(effect: Hypothesis, costs: Mapping[float, float]) -> FaultBeside
     low, high = (limit / effect.tolerance for limit in effect.limits)
     size = float(np.clip(-0.5 * slope / curve, low, high)) if least != 0.0 else 0.0
     return FaultBeside(effect.name, effect.unit, effect.tolerance * size, effect.tolerance * float(curve) ** -0.5,
-                       max(-costs[least], 0.0), effect.tolerance)  # fmt: skip
+                       max(0.0, -costs[least]), effect.tolerance, rival)  # fmt: skip

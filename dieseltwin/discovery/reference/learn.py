@@ -20,7 +20,7 @@ from scipy.linalg import cho_factor, cho_solve
 from dieseltwin.discovery.reference.conditions import Weather, clocks_of_all
 from dieseltwin.discovery.reference.evidence import Evidence, combined
 from dieseltwin.discovery.reference.faults import main_faults
-from dieseltwin.discovery.reference.further import further_errors
+from dieseltwin.discovery.reference.further import further_errors, gain_of
 from dieseltwin.discovery.reference.part import Linear, Part
 from dieseltwin.discovery.reference.suspicion import Suspicion
 from dieseltwin.discovery.twins.interface import Array, Hypothesis
@@ -129,11 +129,12 @@ def learn(
     usual, further = prior, NOTHING_FURTHER
     beside: tuple[FaultBeside, ...] = ()
     for _ in range(_LOOKS):
-        asked = further_errors(usual, map_rms, *joint.of_all_functions(), joint.by_an_effect)
+        said = joint.of_all_functions()
+        asked = further_errors(usual, map_rms, *said, joint.by_an_effect)
         if asked == further:
             break
-        # once maps may be off by more, they take a fault up
-        beside = beside or main_faults(joint, settings.suspicious_gain, anew=True)
+        if not beside:  # once maps may be off by more, they take a fault up
+            beside = main_faults(joint, settings.suspicious_gain, gain_of(asked, usual, map_rms, *said))
         prior, further = with_further(usual, map_rms, asked), asked
         joint.begin(prior)  # the usual maps' fit lies where steps stop short of a minimum
         joint.fit(_ROUNDS, _NEAR)
@@ -223,8 +224,7 @@ class _Joint:
         other.parts = [part.beside(effect, size) for part in self.parts]
         other._simulate()
         other._project()
-        before = np.inf
-        factor = cho_factor(other._information())
+        factor, before = cho_factor(other._information()), np.inf
         for _ in range(_SLIDES):
             step, predicted = other._step(factor)
             if predicted < _BESIDE * other.cost() or predicted > _STALLED * before or not other._advance(step):
