@@ -220,8 +220,7 @@ class FoundCircumstance(FrozenModel):
     Names are columns of the ambient and of the charge (`p_amb_pa`, `t_amb_k`, `t_im_k`), `drift:p_amb_pa` from the
     first row to the last, `scale:u_delta_mg` (true over recorded) and `time_shift:<column>` (recorded late by it).
     Of several recordings, `recording` is the number of its own. `read`: a column gives it and is believed, within what
-    such a sensor may be off; a column that is plainly wrong isn't. Beside a learned engine, `std` of the ambient and the
-    charge holds the deviation of the reference's own.
+    such a sensor may be off. Beside a learned engine `std` holds the deviation of the reference's own weather.
     """
 
     name: Name
