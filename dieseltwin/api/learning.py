@@ -14,6 +14,7 @@ import pandas as pd
 from dieseltwin.api.engines import AnyEngine, diesel_engine, named, petrol_base
 from dieseltwin.api.petrol import PetrolCalibrated, learn_petrol
 from dieseltwin.api.reading import Channels, Made, Source, diesel_recording, several
+from dieseltwin.api.reference_faults import alike_line, hidden_line, suspected_faults
 from dieseltwin.api.results import Result, drawn
 from dieseltwin.discovery.reference.learn import Learned, learn_engine
 from dieseltwin.discovery.verdict.checks import check_recording, check_rows
@@ -185,7 +186,10 @@ def _learn_diesel(
     known, found = learn_engine(sources, base, size, before, settings, prior)
     for source in known.recordings:
         _check_misfit(known, source, settings.misfit_max)
-    known = replace(known, suspected=(*_far_off(known), *_suspected(found, [*sources, *known.recordings])))
+    least = settings.suspicious_gain
+    suspected = [*_suspected(found, [*sources, *known.recordings]),
+                 *suspected_faults(known, least, bool(found.suspicions))]  # fmt: skip
+    known = replace(known, suspected=(*_far_off(known), *suspected))
     notes += [f"note: --siblings {name}: {doubt}; what the type has in common is learned from it all the same, "
               "so leave it out if it wasn't well" for name, one in others.items() for doubt in one.doubts]  # fmt: skip
     return LearnedResult(known, found, (*notes, *(f"note: {doubt}" for doubt in known.doubts)), read)
@@ -270,6 +274,8 @@ def summary(learned: LearnedEngine) -> list[str]:
     if of_ratio > 0.0:
         lines.append("  its turbine's efficiency is off by more than speed and pressures say: further errors of "
                      f"{of_ratio:.2g} % over the blade speed ratio are believed")  # fmt: skip
+    least = default_learn().suspicious_gain
+    lines += alike_line(learned, least)
     known = {row.point: row for row in corrected_maps(learned)}
     for point in CORRECTED_POINTS:
         if point not in known:
@@ -283,7 +289,7 @@ def summary(learned: LearnedEngine) -> list[str]:
         where = f"for {ranges}" if row.share > _WHOLE else f"in {100 * row.share:.0f} % of {ranges}"
         lines.append(f"  {point:<10}corrected by {100 * row.corrected:.1f} % rms, known to {100 * row.known_to:.2g} %, "
                      f"{where}")  # fmt: skip
-    return lines
+    return [*lines, *hidden_line(learned, least)]
 
 
 def _as_read(name: str, value: float) -> str:

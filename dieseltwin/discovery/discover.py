@@ -27,6 +27,7 @@ from dieseltwin.discovery.verdict.left_out import left_out_notes
 from dieseltwin.discovery.verdict.over_recordings import unseen_bias
 from dieseltwin.discovery.verdict.unseen import HealthBias
 from dieseltwin.engine import EngineParameters
+from dieseltwin.learning.ambient import reference_std
 from dieseltwin.learning.domain import known_along
 from dieseltwin.learning.files import LearnedEngine
 from dieseltwin.learning.levels import relative_health_std
@@ -117,9 +118,21 @@ def discover(
     others = time.perf_counter() - clock - sum(found.seconds.values())
     then = None if learned is None else relative_health_std(learned)
     result = assemble(days, found, options, _reference(found, learned), time_s, then, shown)
+    if learned is not None:
+        result = _beside_reference(result, reference_std(learned, options.circumstances))
     runtime = {**found.seconds, "other_searches": max(others, 0.0), "total": time.perf_counter() - clock}
     doubts = [] if learned is not None else _of_rough_maps(options.map_tolerance, result)
     return replace(_with_doubts(result, found, engine, [day.recording for day in days], doubts), runtime=runtime)
+
+
+def _beside_reference(result: Discovery, stds: Mapping[str, float]) -> Discovery:
+    """The result with weather and charge known no better than those of the reference, by column [unit]: they are told
+    by an engine that was learned under these. What is plainly off stays so."""
+    told = tuple(
+        item.model_copy(update={"std": float(np.hypot(item.std, stds.get(item.name, 0.0)))})
+        for item in result.document.circumstances
+    )
+    return replace(result, document=result.document.model_copy(update={"circumstances": told}))
 
 
 def _found(prepared: Prepared, options: Options, time_s: float | None) -> Search:

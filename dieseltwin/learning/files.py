@@ -48,6 +48,7 @@ from dieseltwin.learning.belief import (
     prior_belief,
     with_further,
 )
+from dieseltwin.learning.faults import FaultBeside
 from dieseltwin.notes import Note, counted
 from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.derived import Made
@@ -88,6 +89,8 @@ class LearnedEngine:
         suspected: by what the recordings look as if the engine hadn't been well, a sentence each.
         repaired: the engine as its file has it, where that isn't how it was learned: with the health and the effects
             that a discovery found since; None for the engine as it was learned. The belief is that of learning.
+        faults: the main faults as the recordings say them where no map is off by more than usual; none where an earlier
+            version learned it.
     """
 
     base: EngineParameters
@@ -102,6 +105,7 @@ class LearnedEngine:
     converged: bool = True
     suspected: tuple[str, ...] = ()
     repaired: EngineParameters | None = None
+    faults: tuple[FaultBeside, ...] = ()
 
     @property
     def errors(self) -> float:
@@ -286,7 +290,7 @@ def _parquet(learned: LearnedEngine) -> bytes:
     about = {
         "schema": SCHEMA, "code_version": __version__, "map_rms": learned.map_rms, "domain": learned.domain,
         "further": asdict(learned.further), "clocks": dict(learned.clocks), "converged": learned.converged,
-        "suspected": list(learned.suspected),
+        "suspected": list(learned.suspected), "faults": [asdict(item) for item in learned.faults],
         "base": learned.base.model_dump(mode="json"),
         "recordings": [
             {
@@ -333,7 +337,7 @@ def _parsed(content: bytes, where: Path) -> LearnedEngine:
         {point: {k: (v[0], v[1]) for k, v in ends.items()} for point, ends in about["domain"].items()},
         {row["sha256"]: float(row["misfit"]) for row, _ in known}, prior, Further(**further),
         dict(about.get("clocks", {})), bool(about.get("converged", True)),
-        tuple(about.get("suspected", ())),
+        tuple(about.get("suspected", ())), tuple(FaultBeside(**item) for item in about.get("faults", ())),
     )  # fmt: skip
 
 

@@ -16,6 +16,7 @@ from dieseltwin.errors import InputError
 from dieseltwin.learning import files
 from dieseltwin.learning.belief import MAPS_AT, Belief, prior_belief
 from dieseltwin.learning.domain import domain_of
+from dieseltwin.learning.faults import FaultBeside
 from dieseltwin.learning.files import LearnedEngine, going_on, load_learned, overlap, save_learned
 from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.reader import Recording, recording
@@ -59,10 +60,11 @@ def two() -> tuple[Recording, Recording]:
 
 
 def test_round_trip_keeps_everything(tmp_path: Path, two):
-    learned = _learned(*two)
+    leak = FaultBeside("exhaust_leak", "m2", 3.3e-5, 3e-6, 121.0, 5e-6, 104.0)
+    learned = replace(_learned(*two), faults=(leak,))
     save_learned(learned, tmp_path / "mine.yaml")
     again = load_learned(tmp_path / "mine.yaml")
-    assert again is not None
+    assert again is not None and again.faults == (leak,)
     assert np.array_equal(again.belief.mean, learned.belief.mean)
     assert np.array_equal(again.belief.covariance, learned.belief.covariance)
     assert again.base == learned.base and again.domain == learned.domain

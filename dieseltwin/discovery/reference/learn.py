@@ -11,19 +11,23 @@ belief that they ask for.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from dieseltwin.discovery.reference.conditions import Weather, clocks_of_all
-from dieseltwin.discovery.reference.further import further_errors
+from dieseltwin.discovery.reference.evidence import Evidence, combined
+from dieseltwin.discovery.reference.faults import main_faults
+from dieseltwin.discovery.reference.further import further_errors, gain_of
 from dieseltwin.discovery.reference.part import Linear, Part
 from dieseltwin.discovery.reference.suspicion import Suspicion
-from dieseltwin.discovery.twins.interface import Array
+from dieseltwin.discovery.twins.interface import Array, Hypothesis
 from dieseltwin.engine import EngineParameters
 from dieseltwin.learning.belief import HEALTH_AT, NOTHING_FURTHER, Belief, Further, prior_belief, with_further
 from dieseltwin.learning.domain import domain_of
+from dieseltwin.learning.faults import FaultBeside
 from dieseltwin.learning.files import LearnedEngine
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.recordings.shared_rows import distinct
@@ -32,6 +36,8 @@ from dieseltwin.settings.discovery import LearnConfig
 
 _NEAR = 0.02  # of -2 log posterior that a step promises, when the noise is estimated from what is left
 _ROUNDS = 12
+_BESIDE = 5e-5  # of -2 log posterior that a step promises, below which a fit beside a fault is there
+_SLIDES, _ROUNDS_BESIDE = 6, 4
 _LOOKS = 2  # for further errors of the maps: far from them the readings' information is another
 _CONVERGED = 0.05  # predicted decrease of -2 log posterior: a twentieth of a standard deviation squared, of any mix
 _LEFT_TO_NEXT = 0.2  # of that, below which steps with old sensitivities promise nothing
@@ -41,39 +47,6 @@ _SIFTED = 3  # times that windows are looked at for what doesn't act linearly, w
 _SHRINKS = (1.0, 0.4, 0.16, 0.064)
 _DAMPINGS = (0.01, 0.1, 1.0)  # of an unknown's own information
 _LEAST_INFORMATION = 1e-6  # of an effect's information, that must be left when all coordinates are taken out
-
-
-@dataclass(frozen=True)
-class Evidence:
-    """What one recording says, as a Gaussian factor over the coordinates of a belief.
-
-    Attributes:
-        information: (D, D) in inverse squared units of the coordinates, without any prior, about what all say.
-        vector: (D,) information times the point at which the factor is largest.
-        misfit: squared whitened residual a reading at the estimate; 1 for an engine that the maps can describe.
-        readings: number of readings used.
-        left_out: share of the windows in which what is believed doesn't act linearly, which were not used.
-    """
-
-    information: Array
-    vector: Array
-    misfit: float
-    readings: int
-    left_out: float
-
-
-def combined(prior: Belief, evidence: Sequence[Evidence]) -> Belief:
-    """The belief after some recordings; their order doesn't matter, to the last bit if they are sorted."""
-    scale = np.sqrt(np.diag(prior.covariance))
-    inverse = np.linalg.inv(prior.covariance / np.outer(scale, scale))
-    information = inverse.copy()
-    vector = inverse @ (prior.mean / scale)
-    for item in evidence:
-        information += item.information * np.outer(scale, scale)
-        vector += item.vector * scale
-    covariance = np.linalg.inv(information)
-    covariance = 0.5 * (covariance + covariance.T)
-    return Belief(scale * (covariance @ vector), covariance * np.outer(scale, scale))
 
 
 @dataclass(frozen=True)
@@ -88,6 +61,7 @@ class Learned:
         suspicions: effects by which the reference itself looks faulty, strongest first.
         clocks: column -> how late it is recorded, of those whose clock is off [s].
         strange: weather and charge of a recording that lie where next to nobody drives.
+        faults: the main faults, each fitted beside maps that are believed to be off by no more than usual.
     """
 
     belief: Belief
@@ -97,6 +71,7 @@ class Learned:
     suspicions: tuple[Suspicion, ...] = ()
     clocks: Mapping[str, float] = field(default_factory=dict)
     strange: tuple[Weather, ...] = ()
+    faults: tuple[FaultBeside, ...] = ()
 
 
 def learn_engine(
@@ -124,7 +99,8 @@ def learn_engine(
     misfits = {item.sha256: part.misfit for item, part in zip(together, found.evidence, strict=True)}
     domain = domain_of(found.belief, map_rms * found.further.size, base)
     known_now = LearnedEngine(
-        base, found.belief, map_rms, together, domain, misfits, prior, found.further, found.clocks, found.converged
+        base, found.belief, map_rms, together, domain, misfits, prior, found.further, found.clocks, found.converged,
+        faults=found.faults,
     )
     return known_now, found
 
@@ -151,10 +127,14 @@ def learn(
     joint.fit(_ROUNDS, _NEAR)
     joint.whiten_anew()
     usual, further = prior, NOTHING_FURTHER
+    beside: tuple[FaultBeside, ...] = ()
     for _ in range(_LOOKS):
-        asked = further_errors(usual, map_rms, *joint.of_all_functions(), joint.by_an_effect)
+        said = joint.of_all_functions()
+        asked = further_errors(usual, map_rms, *said, joint.by_an_effect)
         if asked == further:
             break
+        if not beside:  # once maps may be off by more, they take a fault up
+            beside = main_faults(joint, settings.suspicious_gain, gain_of(asked, usual, map_rms, *said))
         prior, further = with_further(usual, map_rms, asked), asked
         joint.begin(prior)  # the usual maps' fit lies where steps stop short of a minimum
         joint.fit(_ROUNDS, _NEAR)
@@ -171,7 +151,8 @@ def learn(
     # long references show what is smaller than anybody wants to know of: no word of that, as `discover` has none
     least = default_search().driving.alarm_size
     suspicions = tuple(item for item in joint.suspicions(settings.suspicious_gain) if item.tolerances >= least)
-    return Learned(combined(prior, evidence), evidence, converged, further, suspicions, joint.clocks(), joint.strange())
+    return Learned(combined(prior, evidence), evidence, converged, further, suspicions, joint.clocks(), joint.strange(),
+                   beside or main_faults(joint, settings.suspicious_gain))  # fmt: skip
 
 
 class _Joint:
@@ -220,7 +201,7 @@ class _Joint:
         for _ in range(rounds):
             factor = cho_factor(self._information())
             step, predicted = self._step(factor)
-            if predicted < max(_CONVERGED, near * self._cost()):
+            if predicted < max(_CONVERGED, near * self.cost()):
                 return True
             if not self._advance(step) and not self._creep():
                 return predicted < _STUCK * self.unknowns
@@ -232,6 +213,27 @@ class _Joint:
             self._put_right()
             self._linearise()
         return self._step(cho_factor(self._information()))[1] < _STUCK * self.unknowns
+
+    def beside(self, effect: str, size: float, anew: bool) -> _Joint:
+        """All recordings fitted from here on with an effect of a size in the engine; this fit stays as it is.
+
+        Args:
+            anew: take new sensitivities there; else those of here have to do.
+        """
+        other = copy(self)
+        other.parts = [part.beside(effect, size) for part in self.parts]
+        other._simulate()
+        other._project()
+        factor, before = cho_factor(other._information()), np.inf
+        for _ in range(_SLIDES):
+            step, predicted = other._step(factor)
+            if predicted < _BESIDE * other.cost() or predicted > _STALLED * before or not other._advance(step):
+                break
+            before = predicted
+        if anew:
+            other._linearise()
+            other.fit(_ROUNDS_BESIDE, _BESIDE)
+        return other
 
     def _put_right(self) -> None:
         """Simulate in the clocks and the weather that the readings show beside the maps as corrected by now. They are
@@ -300,7 +302,7 @@ class _Joint:
                     parts[name, size, k] = [values]
         choice = 2.0 * float(np.log(len(self.parts)))
         whole, gradient = self._information(), self._gradient()
-        hypotheses = {name: item for part in self.parts for name, item in part.twin.hypotheses.items()}
+        hypotheses = self.hypotheses()
         found: dict[str, Suspicion] = {}
         for (name, _, number), some in parts.items():
             hypothesis = hypotheses[name]
@@ -319,6 +321,10 @@ class _Joint:
                 found[name] = Suspicion(name, hypothesis.unit, size, information**-0.5, gain, alone,
                                         abs(size) / hypothesis.tolerance)  # fmt: skip
         return tuple(sorted(found.values(), key=lambda item: -item.gain))
+
+    def hypotheses(self) -> dict[str, Hypothesis]:
+        """The effects that any of the recordings can show."""
+        return {name: item for part in self.parts for name, item in part.twin.hypotheses.items()}
 
     def by_an_effect(self) -> tuple[float, float]:
         """Log likelihood that the strongest effect gains beside what is believed of the maps, and the strongest that
@@ -358,7 +364,8 @@ class _Joint:
         step = np.asarray(cho_solve(factor, gradient))
         return step, float(gradient @ step)
 
-    def _cost(self) -> float:
+    def cost(self) -> float:
+        """-2 log posterior, up to a constant."""
         return float(self.x @ self.precision @ self.x + sum(rest @ rest for rest in self.projected))
 
     def _creep(self) -> bool:
@@ -370,7 +377,7 @@ class _Joint:
     @np.errstate(over="ignore")  # too long a step may run away to 1e200: its cost is infinite, and it isn't taken
     def _advance(self, step: Array, shrinks: Sequence[float] = _SHRINKS) -> bool:
         """Go along a step as far as the posterior rises; False where it nowhere does."""
-        before, cost = (self.x, [part.local for part in self.parts], self.residuals), self._cost()
+        before, cost = (self.x, [part.local for part in self.parts], self.residuals), self.cost()
         for shrink in shrinks:
             x, change = before[0], shrink * step
             for part, local in zip(self.parts, before[1], strict=True):
@@ -383,7 +390,7 @@ class _Joint:
             for part, (local, _) in zip(self.parts, found, strict=True):
                 part.local = local
             self._project()
-            if self._cost() < cost:
+            if self.cost() < cost:
                 return True
         self.x, self.residuals = before[0], before[2]
         for part, local in zip(self.parts, before[1], strict=True):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +17,7 @@ from dieseltwin.discovery.reference.conditions import Clock, Conditions, recorde
 from dieseltwin.discovery.search.preparation import split_growing
 from dieseltwin.discovery.twins.interface import Array, rows_of, single
 from dieseltwin.engine import MEASURED, EngineParameters
+from dieseltwin.engine.terms import Term
 from dieseltwin.learning.belief import GAINS_AT, HEALTH_AT, MAPS_AT, OFFSETS_AT, Belief
 from dieseltwin.least_squares import symmetric_root
 from dieseltwin.recordings.noise import estimate_noise
@@ -94,6 +96,13 @@ class Part:
         """Take points to be about a prior, and the initial states as the fit of health alone has them."""
         self.prior, self.local = prior, self._first
         self.scale = np.sqrt(np.diag(prior.covariance))
+
+    def beside(self, effect: str, size: float) -> Part:
+        """The recording of an engine with an effect of a size in it, noise, initial states and windows as they are."""
+        other = copy(self)
+        if size != 0.0:
+            other.twin = self.twin.with_term(Term(effect=effect, magnitude=size))
+        return other
 
     @property
     def readings(self) -> int:

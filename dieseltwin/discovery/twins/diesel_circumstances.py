@@ -15,6 +15,7 @@ from dieseltwin.engine import EngineParameters
 from dieseltwin.engine.actuation import actuate_lanes
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.engine.inputs import INPUT_COLUMNS, Actuation
+from dieseltwin.engine.terms import Term
 from dieseltwin.learning.belief import Belief
 from dieseltwin.recordings.between_rows import rows_are_slow, rows_may_be_slow
 from dieseltwin.recordings.circumstances import (
@@ -141,7 +142,17 @@ class LoggedTwin(EngineTwin):
     def under(self, values: Mapping[str, float], opened: frozenset[str], like: bool = False) -> LoggedTwin:
         """The twin of the recording under other circumstances; `like`: near these, with the windows and holes of this
         one."""
-        recording, engine, sensors, map_tolerance, belief = self._read
+        return self._again(self._read[1], values, opened, like)
+
+    def with_term(self, term: Term) -> LoggedTwin:
+        """The twin of an engine that has one more term, with the windows and holes of this one."""
+        engine = self._read[1]
+        return self._again(engine.replace(terms=(*engine.terms, term)), self.values, self.opened, like=True)
+
+    def _again(
+        self, engine: EngineParameters, values: Mapping[str, float], opened: frozenset[str], like: bool
+    ) -> LoggedTwin:
+        recording, _, sensors, map_tolerance, belief = self._read
         other = LoggedTwin(recording, engine, sensors, map_tolerance=map_tolerance, belief=belief, beliefs=self.beliefs,
                            values=values, opened=opened, like=self if like else None)  # fmt: skip
         other.between_rows, other.known_between = self.between_rows, self.known_between

@@ -220,7 +220,8 @@ class FoundCircumstance(FrozenModel):
 
     Names are columns of the ambient and of the charge (`p_amb_pa`, `t_amb_k`, `t_im_k`), `drift:p_amb_pa` from the
     first row to the last, `scale:u_delta_mg` (true over recorded) and `time_shift:<column>` (recorded late by it).
-    Of several recordings, `recording` is its number. `read`: a column gives it and is believed, unless plainly wrong.
+    Of several recordings, `recording` is its number. `read`: a column gives it and is believed, within what such a
+    sensor may be off. Beside a learned engine `std` holds the deviation of the reference's own weather.
     """
 
     name: Name
