@@ -337,7 +337,7 @@ def _parsed(content: bytes, where: Path) -> LearnedEngine:
         {point: {k: (v[0], v[1]) for k, v in ends.items()} for point, ends in about["domain"].items()},
         {row["sha256"]: float(row["misfit"]) for row, _ in known}, prior, Further(**further),
         dict(about.get("clocks", {})), bool(about.get("converged", True)),
-        tuple(about.get("suspected", ())), tuple(FaultBeside(**item) for item in about.get("faults", ())),
+        tuple(about.get("suspected", ())), faults=tuple(FaultBeside(**item) for item in about.get("faults", ())),
     )  # fmt: skip
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from dieseltwin.discovery.verdict.document import Discrepancy, FoundCircumstance
+from dieseltwin.discovery.verdict.document import Discrepancy
+from dieseltwin.discovery.verdict.found_circumstance import FoundCircumstance
 from dieseltwin.notes import listing
 from dieseltwin.report import quantities
 

@@ -6,7 +6,8 @@ import pytest
 import synthetic_discovery as synthetic
 
 from dieseltwin.api.driving import _column_notes, circumstance_notes
-from dieseltwin.discovery.verdict.document import Discrepancy, FoundCircumstance, fit_doubts, with_warnings
+from dieseltwin.discovery.verdict.document import Discrepancy, fit_doubts, with_warnings
+from dieseltwin.discovery.verdict.found_circumstance import FoundCircumstance
 from dieseltwin.engine.effects import EFFECTS, SITES
 from dieseltwin.notes import Note
 from dieseltwin.report.circumstance_words import circumstance_words, shown_day

@@ -23,7 +23,6 @@ from dieseltwin.discovery.verdict.curves import Curves, Discovery, LawCurve
 from dieseltwin.discovery.verdict.document import (
     NONE_OF_THESE,
     Discrepancy,
-    FoundCircumstance,
     Location,
     OutOfTime,
     Provenance,
@@ -34,6 +33,7 @@ from dieseltwin.discovery.verdict.document import Fit as FitFigures
 from dieseltwin.discovery.verdict.effect_curve import effect_curves
 from dieseltwin.discovery.verdict.explained import disagreement, explained_at
 from dieseltwin.discovery.verdict.findings import finite, times_since_start
+from dieseltwin.discovery.verdict.found_circumstance import FoundCircumstance
 from dieseltwin.discovery.verdict.held_out import held_out_scores, held_windows
 from dieseltwin.discovery.verdict.observed import observed
 from dieseltwin.discovery.verdict.over_recordings import (

@@ -16,6 +16,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationError, model_validator
 
 from dieseltwin.atomic import write_json
+from dieseltwin.discovery.verdict.found_circumstance import FoundCircumstance, Name
 from dieseltwin.discovery.verdict.health_value import HealthValue, NotNegative
 from dieseltwin.discovery.verdict.left_out import LeftOut
 from dieseltwin.engine.courses import Spans
@@ -33,7 +34,6 @@ FILE_NAME = "discrepancy.json"
 _ROUNDING = 1e-6  # of probabilities that sum to one
 
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]
-Name = Annotated[str, Field(min_length=1)]
 Range = tuple[float, float]
 
 
@@ -212,27 +212,6 @@ class Fit(FrozenModel):
     def beyond_tolerances(self) -> bool:
         """Whether more is left than noise, maps and sensors leave: beside quiet sensors tolerances alone leave much."""
         return (self.chi2_left or 0.0) > (NOTED_CHI2 if self.chi2_per_sample_beyond is None else LEFT_OVER)
-
-
-class FoundCircumstance(FrozenModel):
-    """Something that the recording doesn't say, or says wrongly: its value, standard deviation and what was assumed
-    [unit], whether it is plainly another than assumed, and effects of the catalogue that would look the same.
-
-    Names are columns of the ambient and of the charge (`p_amb_pa`, `t_amb_k`, `t_im_k`), `drift:p_amb_pa` from the
-    first row to the last, `scale:u_delta_mg` (true over recorded) and `time_shift:<column>` (recorded late by it).
-    Of several recordings, `recording` is its number. `read`: a column gives it and is believed, within what such a
-    sensor may be off. Beside a learned engine `std` holds the deviation of the reference's own weather.
-    """
-
-    name: Name
-    value: float
-    std: NotNegative
-    assumed: float
-    unit: Name
-    off: bool
-    read: bool = False
-    equivalent_names: tuple[Name, ...] = ()
-    recording: int | None = Field(default=None, ge=1)
 
 
 class Provenance(FrozenModel):
