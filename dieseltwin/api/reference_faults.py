@@ -34,7 +34,7 @@ def hidden_line(known: LearnedEngine, least: float) -> list[str]:
         return []
     sizes = [f"{item.name} {magnitude_words(item.name, item.hidden(least), None, item.unit, extra=False, digits=2)}"
              for item in sorted(known.faults, key=lambda item: item.name)]  # fmt: skip
-    return [f"  what the reference itself could have had without being said, up to some {', '.join(sizes)}"]
+    return [f"  faults that the reference could have had unsaid, up to about: {', '.join(sizes)}"]
 
 
 def suspected_faults(known: LearnedEngine, least: float, said: bool) -> list[str]:
