@@ -8,7 +8,8 @@ with the fault in the engine, and the size is that about which these fits fall o
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -22,6 +23,7 @@ MAIN = ("exhaust_leak", "boost_leak", "back_pressure", "air_filter_restriction",
 _TRIAL = 2.0  # tolerances; the first size that is fitted
 _DOUBLINGS = 4  # of it, while the fit gets better
 _NEAREST, _FARTHEST = 0.25, 3.0  # times the first size, of the second where the first was no better
+_WORTH = 0.25  # of what further errors of maps gain, from which on a fault is fitted with sensitivities of its own
 
 
 class FittedTogether(Protocol):
@@ -45,18 +47,25 @@ def main_faults(healthy: FittedTogether, told: float, rival: float = 0.0) -> tup
 
     Args:
         healthy: the fit without any; told: decrease of -2 log posterior from which on an effect is said.
-        rival: the decrease that further errors of the maps promise; 0 where none are asked for. Where some are,
-            sensitivities are taken anew beside every fault, which takes five times as long.
+        rival: the decrease that further errors of the maps promise; 0 where none are asked for. Faults that come near
+            to it are fitted once more with sensitivities taken beside them, which takes five times as long.
     """
-    known, anew = healthy.hypotheses(), rival > 0.0
-    settled = healthy.beside(MAIN[0], 0.0, anew)
-    found = (_fitted(settled, known[name], told, rival) for name in MAIN if name in known)
-    return tuple(sorted((item for item in found if item is not None), key=lambda item: -item.gain))
+    found = _all_fitted(healthy, MAIN, told, False)
+    near = [name for name, item in found.items() if 0.0 < _WORTH * rival < item.gain]
+    found |= _all_fitted(healthy, near, told, True) if near else {}
+    return tuple(replace(item, rival=rival) for item in sorted(found.values(), key=lambda item: -item.gain))
 
 
-def _fitted(healthy: FittedTogether, effect: Hypothesis, told: float, rival: float) -> FaultBeside | None:
+def _all_fitted(healthy: FittedTogether, names: Sequence[str], told: float, anew: bool) -> dict[str, FaultBeside]:
+    """Those of some faults that the recordings can show, and whose fits fall off about a size."""
+    known, settled = healthy.hypotheses(), healthy.beside(names[0], 0.0, anew)
+    found = (_fitted(settled, known[name], told, anew) for name in names if name in known)
+    return {item.name: item for item in found if item is not None}
+
+
+def _fitted(healthy: FittedTogether, effect: Hypothesis, told: float, anew: bool) -> FaultBeside | None:
     """The likeliest size of an effect, by fits at some; None where they don't fall off about any."""
-    (low, high), anew = effect.limits, rival > 0.0
+    low, high = effect.limits
     size = _TRIAL * effect.tolerance
     costs = {at: healthy.beside(effect.name, at, anew).cost() for at in (size, -size) if low <= at <= high}
     costs[0.0] = least = healthy.cost()
@@ -71,15 +80,15 @@ def _fitted(healthy: FittedTogether, effect: Hypothesis, told: float, rival: flo
         if costs[2.0 * best] >= costs[best]:
             break
         best *= 2.0
-    return fitted_size(effect, {at: cost - least for at, cost in costs.items()}, rival)
+    return fitted_size(effect, {at: cost - least for at, cost in costs.items()})
 
 
-def fitted_size(effect: Hypothesis, costs: Mapping[float, float], rival: float = 0.0) -> FaultBeside | None:
+def fitted_size(effect: Hypothesis, costs: Mapping[float, float]) -> FaultBeside | None:
     """A parabola through the costs of three sizes about the least; None where it isn't curved upwards.
 
     Args:
         effect: what was fitted.
-        costs: -2 log posterior at sizes [unit], over that without it; rival: as of `main_faults`.
+        costs: -2 log posterior at sizes [unit], over that without it.
     """
     if len(costs) < 3:
         return None
@@ -91,4 +100,4 @@ def fitted_size(effect: Hypothesis, costs: Mapping[float, float], rival: float =
     low, high = (limit / effect.tolerance for limit in effect.limits)
     size = float(np.clip(-0.5 * slope / curve, low, high)) if least != 0.0 else 0.0
     return FaultBeside(effect.name, effect.unit, effect.tolerance * size, effect.tolerance * float(curve) ** -0.5,
-                       max(0.0, -costs[least]), effect.tolerance, rival)  # fmt: skip
+                       max(0.0, -costs[least]), effect.tolerance)  # fmt: skip
