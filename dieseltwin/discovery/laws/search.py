@@ -29,6 +29,7 @@ from dieseltwin.discovery.twins.interface import ONSET_REACHES_S, Array, Twin, W
 RIVALS = 9.0  # 2 delta log-likelihood within which two laws can't be told apart (docs/discovery.md)
 _ALIKE_SHARE = 0.005  # of the gain: what maps that are off a little can add to a form that follows them
 _SIMPLER_SHARE = 0.0075  # of the gain: what maps that are off a little add to each further factor or term of a form
+_EVEN = 0.5  # of -2 log likelihood, what refits of one law end apart
 _FINAL_ROUNDS = 8
 _OF_SUMS = 3  # of the best, whose terms are refitted alone
 _REFITS = 16  # after each ranking
@@ -230,8 +231,16 @@ def _simplest_first(refits: list[Refit]) -> list[Refit]:
     behind = np.array([_SIMPLER_SHARE * gain * _complexity(r) - r.score for r in refits])
     reach = behind.min() + max(RIVALS, _ALIKE_SHARE * gain)
     alike = [r for r, far in zip(refits, behind, strict=True) if far < reach]
-    simplest = min(alike, key=lambda r: (_complexity(r), -r.score))
+    fewest = min(map(_complexity, alike))
+    simple = [r for r in alike if _complexity(r) == fewest]
+    # one law in two spellings (T_c - T_amb, T_c/T_amb where T_amb stands still) has one score but for rounding
+    even = [r for r in simple if max(other.score for other in simple) - r.score < _EVEN]
+    simplest = min(even, key=lambda r: (len(_spelt(r)), _spelt(r)))
     return [simplest, *(r for r in refits if r is not simplest)]
+
+
+def _spelt(refit: Refit) -> str:
+    return "; ".join(law.form.text() for law in refit.twin.laws)
 
 
 def _complexity(refit: Refit) -> int:
