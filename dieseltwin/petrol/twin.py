@@ -280,7 +280,8 @@ class PetrolTwin(TwinDefaults):
 
     def _rho(self) -> Array:
         """(C,) correlation of neighbouring blocks that makes a sum as uncertain as the calibration found it."""
-        return np.asarray((self._factors() - 1.0) / (self._factors() + 1.0))
+        factors = self._factors()
+        return np.asarray((factors - 1.0) / (factors + 1.0))
 
     def _factors(self) -> Array:
         """(C,) by which neighbouring blocks that are correlated count as fewer."""

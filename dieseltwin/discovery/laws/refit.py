@@ -201,7 +201,7 @@ def _refit_inside(twin: Twin, at: Linearisation, before: float, item: Ranked) ->
             break
         values = np.maximum(best.parameters + shrink * step, lowest)
         rest = slopes.rest(residual, (values - best.parameters) / shrink)
-        local = bounded(twin, best.local + shrink * at.metric.local_steps(rest[None])[0])
+        local = bounded(twin, best.local + shrink * at.metric.local_steps_beside_nuisances(rest[None])[0])
         trial = replace(best, parameters=values, local=local)
         new = np.nan_to_num(twin.measured - law.simulate(trial.lanes())[0], nan=0.0, posinf=1e6, neginf=-1e6)
         new_vector = at.metric.project(new[None])[0]
@@ -338,7 +338,7 @@ def _advance(twin: Twin, at: Linearisation, base: Lanes, active: Sequence[_Lane]
                 values[known + j] = max(values[known + j], 0.1 * lane.values[known + j])
         stepping.append((lane, values, lane.slopes.rest(lane.residual, (values - lane.values) / lane.shrink)))
     if stepping:
-        steps = at.metric.local_steps(np.stack([rest for _, _, rest in stepping]))
+        steps = at.metric.local_steps_beside_nuisances(np.stack([rest for _, _, rest in stepping]))
         for (lane, values, _), step in zip(stepping, steps, strict=True):
             lane.trial = values, bounded(twin, lane.local + lane.shrink * step)
 

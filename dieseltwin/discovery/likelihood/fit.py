@@ -238,7 +238,7 @@ class Linearisation:
 
     def local_step(self, change: Array) -> Array:
         """Change of the initial states that goes with a change of parameters and magnitudes, (W, S)."""
-        return self.metric.local_steps_whitened((self._whitened[-1] - change @ self._whitened[:-1])[None])[0]
+        return self.metric.local_steps_of_whitened((self._whitened[-1] - change @ self._whitened[:-1])[None])[0]
 
     def without_nuisances(self, residual: Array) -> Array:
         """A residual (n, C) without what tolerances most likely are of it."""

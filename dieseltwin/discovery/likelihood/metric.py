@@ -282,12 +282,12 @@ class Metric:
         """Least-squares change of the initial states for one residual (n, C) -> (W, S)."""
         return self._local_steps(self.whitening.apply(residual[None]))[0]
 
-    def local_steps(self, residuals: Array) -> Array:
-        """The same for several (B, n, C) -> (B, W, S), each without what nuisances most likely are of it."""
-        return self.local_steps_whitened(self.whitening.apply(residuals))
+    def local_steps_beside_nuisances(self, residuals: Array) -> Array:
+        """The same for residuals (B, n, C) -> (B, W, S), each without what nuisances most likely are of it."""
+        return self.local_steps_of_whitened(self.whitening.apply(residuals))
 
-    def local_steps_whitened(self, whitened: Array) -> Array:
-        """As `local_steps`, of residuals (B, n C) that are whitened already."""
+    def local_steps_of_whitened(self, whitened: Array) -> Array:
+        """As `local_steps_beside_nuisances`, of residuals (B, n C) that are whitened already."""
         if self._nuisances is None:
             return self._local_steps(whitened)
         weights = self._nuisance_weights(self._nuisances, self._without_local(whitened))

@@ -77,9 +77,10 @@ def refit_all(
             moved = np.concatenate([parameters - fit.parameters, magnitudes - start])
             rests.append(residuals[k] - np.tensordot(moved / shrink[k], columns[k], 1))
             trials.append(replace(fit, parameters=parameters, magnitudes=magnitudes))
+        steps = base.metric.local_steps_beside_nuisances(np.stack(rests))
         trials = [
             replace(trial, local=bounded(twin, trial.local + shrink[k] * step))
-            for trial, k, step in zip(trials, active, base.metric.local_steps(np.stack(rests)), strict=True)
+            for trial, k, step in zip(trials, active, steps, strict=True)
         ]
         simulated = simulate_fits(twin, trials)
         new = np.nan_to_num(twin.measured[None] - simulated)
