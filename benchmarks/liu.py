@@ -24,7 +24,7 @@ from kept import keep, kept_lines
 
 from dieseltwin.errors import InputError
 from dieseltwin.petrol.calibrate import fit_maps
-from dieseltwin.petrol.components import nozzle_flow, signed_leak
+from dieseltwin.petrol.components import signed_leak
 from dieseltwin.petrol.discover import discover_petrol
 from dieseltwin.petrol.maps import spline_basis
 from dieseltwin.petrol.model import ALPHA_SHIFT
@@ -116,7 +116,8 @@ def planted(s: Signals, fault: Fault, engine: PetrolParameters, floor: tuple[flo
     if fault.kind == "leak" and fault.column == "intake":
         return leaking(s, fault.size, onset_s, engine, floor)
     if fault.kind == "leak":
-        return replace(s, W_af=s.W_af + np.where(active, nozzle_flow(fault.size, s.p_ic, s.T_ic, s.p_amb), 0.0))
+        lost = -signed_leak(fault.size, s.p_ic, s.T_ic, s.p_amb, s.T_amb)
+        return replace(s, W_af=s.W_af + np.where(active, lost, 0.0))
     values = getattr(s, fault.column)
     changed = {
         "gain": lambda: values * (1.0 + fault.size), "offset": lambda: values + fault.size,

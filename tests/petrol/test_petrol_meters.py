@@ -8,8 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dieseltwin.discovery.likelihood.score import spread, without_parameters
+from dieseltwin.discovery.search.preparation import prepare
 from dieseltwin.petrol.calibrate import fit_maps
-from dieseltwin.petrol.discover import discover_petrol
+from dieseltwin.petrol.discover import PetrolOptions, discover_petrol
 from dieseltwin.petrol.effects import MIDDLE_FLOW, later, metered, undo
 from dieseltwin.petrol.parameters import PetrolParameters
 from dieseltwin.petrol.recording import PetrolRecording, Signals
@@ -71,6 +73,18 @@ def test_what_a_charge_varies_by_speaks_for_no_offset(engine: PetrolParameters, 
     offset = np.full(len(twin.time_s), -40.0)
     expected = (twin.expected_with({"t_ic_offset": offset}) - twin.expected_with({}))[:, twin.channels.index("cooler")]
     assert np.ptp(expected) < 1e-9 and expected[0] == pytest.approx(-np.log1p(40.0 / 298.0), abs=1e-3)
+
+
+def test_a_jump_of_a_slow_reading_hangs_on_its_second_and_counts(engine: PetrolParameters, record: Recorder) -> None:
+    """The cooler drifts slowly, so that most evidence of a jump is in the second in which it jumps."""
+    drive, settings = record(2, 300.0), PetrolOptions().settings()
+    since = drive.signals.time_s >= SINCE_S
+    found = prepare(PetrolTwin(engine, replace(drive.signals, T_ic=drive.signals.T_ic + 15.0 * since)), settings)
+    late = np.where(found.twin.time_s >= SINCE_S, 15.0, 0.0)
+    jump = found.twin.expected_with({"t_ic_offset": late}) - found.twin.expected_with({})
+    direction = without_parameters(found.null, found.null.metric.project(jump[None]))[0]
+    # a real charge that wanders by its healthy scatter leaves 0.2 less
+    assert settings.least_spread + 0.2 < spread(found.null, direction) < 0.6
 
 
 def test_how_far_a_charge_varies_is_learned(record: Recorder) -> None:
