@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -18,6 +19,7 @@ from dieseltwin.discovery.likelihood.score import without_parameters
 from dieseltwin.discovery.options import SearchOptions
 from dieseltwin.discovery.search import run as shared
 from dieseltwin.discovery.search.courses import schedule_of
+from dieseltwin.discovery.search.dating import date_edges
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.discovery.verdict.assemble import allowance, details_of_search, finite_only, fit_figures, p_value
@@ -32,7 +34,7 @@ from dieseltwin.discovery.verdict.document import (
     with_warnings,
 )
 from dieseltwin.discovery.verdict.explained import explained_at
-from dieseltwin.discovery.verdict.findings import effects, finite, ranked_location, site_probabilities
+from dieseltwin.discovery.verdict.findings import effects, finite, ranges_of_dates, ranked_location, site_probabilities
 from dieseltwin.discovery.verdict.health_value import HealthValue
 from dieseltwin.discovery.verdict.reasons import candidate_rows
 from dieseltwin.notes import Note, listing
@@ -179,6 +181,7 @@ def discover_petrol(
     began = time.perf_counter()
     options = options or PetrolOptions()
     twin, found = judge(engine, without_terms(engine, recording), options)
+    date_edges(found)
     explained = explained_at(found)
     after, document = explained.simulated, _document(recording, options, twin, found, explained)
     repaired = engine.model_copy(update={"terms": (*engine.terms, *_terms(recording, document))})
@@ -256,6 +259,7 @@ def _location(recording: PetrolRecording, found: Search) -> Location:
     return ranked_location(
         site_probabilities(found), onset_s=_stamp(recording, variant.onset_s) if variant.onset_s > first else None,
         until_s=None if last is None else _stamp(recording, last), grows=variant.grows,
+        **ranges_of_dates(found, partial(_stamp, recording)),
     )  # fmt: skip
 
 

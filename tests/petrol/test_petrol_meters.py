@@ -75,6 +75,17 @@ def test_what_a_charge_varies_by_speaks_for_no_offset(engine: PetrolParameters, 
     assert np.ptp(expected) < 1e-9 and expected[0] == pytest.approx(-np.log1p(40.0 / 298.0), abs=1e-3)
 
 
+def test_a_charge_that_reads_too_warm_is_no_gain_of_the_air_meter(engine: PetrolParameters, record: Recorder) -> None:
+    """It acts on three balances; until it is dated to the second, its end explains more than its beginning."""
+    drive = record(2, 600.0)
+    warm = drive.signals.T_ic + 12.0 * (drive.signals.time_s >= SINCE_S)
+    found = discover_petrol(replace(drive, signals=replace(drive.signals, T_ic=warm)), engine).document
+    (effect,), location = found.effects, found.location
+    assert effect.name == "t_ic_offset" and effect.magnitude == pytest.approx(12.0, abs=1.0) and location is not None
+    low, high = location.onset_range_s or (0.0, 0.0)
+    assert low <= SINCE_S <= high <= low + 5.0
+
+
 def test_a_jump_of_a_slow_reading_hangs_on_its_second_and_counts(engine: PetrolParameters, record: Recorder) -> None:
     """The cooler drifts slowly, so that most evidence of a jump is in the second in which it jumps."""
     drive, settings = record(2, 300.0), PetrolOptions().settings()

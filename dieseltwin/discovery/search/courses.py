@@ -109,7 +109,7 @@ def schedule_of(twin: Twin, onset_s: float, until_s: float | None, grows: bool, 
 def at_times(
     twin: Twin, variant: Variant, onset_s: float, until_s: float | None, grows: bool, gone: Spans = ()
 ) -> Variant:
-    """A variant with another course; its response stays that of the scan, near enough for a refit."""
+    """A variant with another course. Its response stays that of before."""
     return replace(variant, onset_s=onset_s, until_s=until_s, grows=grows, gone=gone, edges=_edges(until_s, gone),
                    schedule=schedule_of(twin, onset_s, until_s, grows, gone))  # fmt: skip
 

@@ -45,7 +45,7 @@ def date_edges(found: Search) -> None:
     variant, best = found.variant, found.best
     if found.kind != "variant" or variant is None or best is None or variant.onset_s is None:
         return
-    if isinstance(found.twin, OverRecordings) or not found.twin.states:
+    if isinstance(found.twin, OverRecordings):
         return
     clock, within = time.perf_counter(), _AS_GOOD * found.widening
     ranges, dated = _ranges(best, variant, within)

@@ -119,7 +119,7 @@ def carry_on(
         if found.kind != "law" and (found.kind != "healthy" or raises_alarm(found, found.singles[0])):
             choose_so_far(found)
     found.earlier = []
-    if not found.unfinished:
+    if not found.unfinished and found.twin.states:  # without states there are choices of the machine's own behind this
         date_edges(found)
     return _with_inputs_between_rows(found, laws, None if time_s is None else time_s - (time.perf_counter() - began))
 

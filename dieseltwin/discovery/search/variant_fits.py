@@ -125,10 +125,10 @@ def _times_of_leader(found: Search) -> str:
         for best in first_of_each_course([variant for variant, _ in found.variants]):
             near = [[] if edge is None else times_about(found.twin, edge, reach)
                     for edge in (best.onset_s, best.until_s)]
-            _refit_variants(found, moved(found.twin, best, *near))
+            _refit_courses(found, moved(found.twin, best, *near))
     best, _ = found.variants[0]
     if best.until_s is not None or best.grows or best.gone:  # the same since its onset: it may not be refitted yet
-        _refit_variants(found, [at_times(found.twin, best, float(best.onset_s or 0.0), None, False)])
+        _refit_courses(found, [at_times(found.twin, best, float(best.onset_s or 0.0), None, False)])
         best, _ = found.variants[0]  # the times are known by now: other effects at the same ones
     if best.gone:  # another effect's best part of the time may be none of these
         likely = in_the_same_parts(found.null, found.scored, best)
@@ -136,7 +136,7 @@ def _times_of_leader(found: Search) -> str:
         best, _ = found.variants[0]
     others = {v.name: v for v, _ in reversed(found.variants) if v.onset_s is not None and v.name != best.name}
     same = float(best.onset_s or 0.0), best.until_s, best.grows, best.gone
-    _refit_variants(found, [at_times(found.twin, variant, *same) for variant in others.values()])
+    _refit_courses(found, [at_times(found.twin, variant, *same) for variant in others.values()])
     return best.name
 
 
@@ -196,6 +196,13 @@ def _compare_leaders(found: Search) -> None:
     same = {fit.candidate.names[0] for fit in compared}  # what they were beside has moved with them
     rest = [pair for pair in rest if pair[0].name not in same]
     found.variants = in_order(found, [*((variants[f.candidate.names[0]], f) for f in compared), *rest])
+
+
+def _refit_courses(found: Search, variants: Sequence[Variant]) -> None:
+    """Refits of variants with other edges than those of the scan, by their own part of the response: what was there
+    until then and begins now would go uphill by that of before."""
+    items = {item.name: item for item in best_of_each(found.scored)}
+    _refit_variants(found, [replace(v, response=v.schedule[:, None] * items[v.name].response) for v in variants])
 
 
 def _refit_variants(found: Search, variants: Sequence[Variant], near: Fit | None = None) -> None:

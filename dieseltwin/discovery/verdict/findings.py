@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, cast
 
 import numpy as np
@@ -38,17 +39,21 @@ def location(found: Search, twin: EngineTwin | SeveralTwin, evidence: Array) -> 
         site_probabilities(found),
         regions=_regions(twin, evidence, variant.region if variant else None), only_in=_only_in(found),
         **({} if variant is None else times_since_start(twin, variant)), **_since_of_law(found, twin),
-        **_ranges_of_dates(found, twin),
+        **ranges_of_dates(found, partial(since_start, twin)),
     )
 
 
-def _ranges_of_dates(found: Search, twin: Twin) -> dict[str, Any]:
-    """Between which dates an onset and an end lie, by the fields of `Location`."""
+def ranges_of_dates(found: Search, stamp: Callable[[float], float]) -> dict[str, Any]:
+    """Between which dates an onset and an end lie, by the fields of `Location`.
+
+    Args:
+        found: the search.
+        stamp: a time of the twin as the document has it [s].
+    """
     ranges = {"onset_range_s": found.onset_range_s, "until_range_s": found.until_range_s}
     if found.kind != "variant":
         return {}
-    return {name: (since_start(twin, dates[0]), since_start(twin, dates[1]))
-            for name, dates in ranges.items() if dates is not None}  # fmt: skip
+    return {name: (stamp(dates[0]), stamp(dates[1])) for name, dates in ranges.items() if dates is not None}
 
 
 def left_out(found: Search, twin: EngineTwin | SeveralTwin) -> LeftOut | None:
