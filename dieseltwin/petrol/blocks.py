@@ -20,7 +20,7 @@ from dieseltwin.petrol.recording import Signals, gaps
 BLOCK_S = 1.0
 EDGE_ROWS = 6  # rows averaged for a block's end pressure: the manifold pulsates by 5 % at idle
 FULLEST_HOLE = 0.5  # blocks with fewer than this part of the usual rows are left out
-WINDOW_BLOCKS = 5  # an onset is tried at each window's beginning
+WINDOW_BLOCKS = 1  # an onset is tried at each block: neighbours are correlated, and a jump shows in its own second
 LEAST_FACTOR = 0.05  # that a signal at a map may leave of it [-]
 LEAST_FLOW = 1e-4  # kg/s, a twentieth of idle: keeps logarithms finite in overrun transients
 

@@ -78,12 +78,13 @@ def _effect(
 ) -> PetrolEffect:
     size, unit = tolerance
     late = unit == "s"  # a signal pulsates from row to row: its derivative to a delay says nothing of a longer one
-    sizes = (-size, size) if late else (size,)
+    kinked = late or name.startswith(("p_im_", "p_ic_"))  # at a throttle wide open there is only one way to go
+    sizes = (-size, size) if kinked else (size,)
     if phrase is None:  # of a reading
         reading, what = name.rsplit("_", 1)
         reading = reading[0].upper() + reading[1:] if reading[0] in "tw" else reading  # T and W, as in `Signals`
         phrase = f"the {reading} reading {{m}} late" if late else f"{_ERRORS[what]} of the {reading} reading of {{m}}"
-    return PetrolEffect(Hypothesis(name, site, law, unit, size, limits, not late, sizes, kind), undo, phrase)
+    return PetrolEffect(Hypothesis(name, site, law, unit, size, limits, not kinked, sizes, kind), undo, phrase)
 
 
 _ALL = (

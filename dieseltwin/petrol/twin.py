@@ -147,10 +147,11 @@ class PetrolTwin(TwinDefaults):
             return
         rows, none = np.sqrt(float(np.median(self.grid.count))), self._expected({}, {})
         pressures = {"p_ic_offset": self.signals.p_ic, "p_im_offset": self.signals.p_im}
-        noises = [{name: np.full(len(self.time_s), white_sigma(p) / rows)} for name, p in pressures.items()]
-        alone = [self._expected(noise, {}) - none for noise in noises]
+        noises = {name: np.full(len(self.time_s), white_sigma(p) / rows) for name, p in pressures.items()}
+        alone = [self._expected({name: noise}, {}) - none for name, noise in noises.items()]
         for effects, here in zip(explained, beside, strict=True):
-            both = (self._expected({**effects, **noise}, {}) - here for noise in noises)
+            both = (self._expected({**effects, name: effects.get(name, 0.0) + noise}, {}) - here
+                    for name, noise in noises.items())
             yield np.hypot(*(moved - own for moved, own in zip(both, alone, strict=True)))
 
     def _refuse_nothing_to_judge(self) -> None:

@@ -15,6 +15,7 @@ from dieseltwin.least_squares import Z_90, symmetric_root
 _DRAWS = 4000  # of the parametric bootstrap; beyond their reach the tail of chi-square is taken
 _WIDER_BESIDE = 1.5  # standard deviation of an effect that is there over that of none: 0.9 to 1.7, 14 of 15 below 1.46
 _SIZE_OF_TOLERANCE = 1.5  # secants of smooth effects are taken at this multiple of their tolerance
+_SAME_DIRECTION = 0.98  # cosine from which two sizes of an effect do the same
 
 
 @dataclass(frozen=True)
@@ -126,6 +127,23 @@ def best_of_each(scored: Sequence[Scored]) -> list[Scored]:
         if item.name not in best or item.gain > best[item.name].gain:
             best[item.name] = item
     return sorted(best.values(), key=lambda item: -item.gain)
+
+
+def ways_of_each(scored: Sequence[Scored]) -> list[Scored]:
+    """The best size of each hypothesis, and of the others those whose direction is another, strongest first.
+
+    Next to a kink (a throttle that a pressure read high makes wide open) an effect does one thing upwards and another
+    downwards; which of them begins in the middle is not told by which is better from the first row on.
+    """
+    best = {item.name: item for item in best_of_each(scored)}
+    lengths = {id(item): float(np.linalg.norm(item.projected)) for item in scored}
+
+    def differs(item: Scored) -> bool:
+        other = best[item.name]
+        both = lengths[id(item)] * lengths[id(other)]
+        return both > 0.0 and abs(float(item.projected @ other.projected)) < _SAME_DIRECTION * both
+
+    return sorted([*best.values(), *filter(differs, scored)], key=lambda item: -item.gain)
 
 
 def as_fits(at: Linearisation, scored: Sequence[Scored]) -> list[Fit]:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dieseltwin.discovery.likelihood.fit import Linearisation
-from dieseltwin.discovery.likelihood.score import Scored, best_of_each
+from dieseltwin.discovery.likelihood.score import Scored, best_of_each, ways_of_each
 from dieseltwin.discovery.search.sums import Sums
 from dieseltwin.discovery.search.variants import SECOND_EDGE, Variant
 from dieseltwin.discovery.twins.interface import Array, Twin, WithCourses
@@ -71,7 +71,7 @@ def courses(at: Linearisation, scored: Sequence[Scored], least_share: float) -> 
         scored: effects with their responses.
         least_share: of the samples that a span must act on, and leave out.
     """
-    items = best_of_each(scored)
+    items = ways_of_each(scored)
     if not items or not _has_courses(at.twin):
         return []
     sums = Sums(at, items, least_share)

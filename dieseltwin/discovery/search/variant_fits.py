@@ -9,7 +9,7 @@ import numpy as np
 
 from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, fit_fully
 from dieseltwin.discovery.likelihood.refit import refit_all
-from dieseltwin.discovery.likelihood.score import Scored, best_of_each
+from dieseltwin.discovery.likelihood.score import Scored, best_of_each, score, ways_of_each
 from dieseltwin.discovery.search.courses import (
     at_times,
     coming_and_going,
@@ -141,13 +141,18 @@ def _times_of_leader(found: Search) -> str:
 
 
 def _date_anew(found: Search) -> None:
-    """Onsets of the leading effects by their responses at the sizes found; the scan takes effects linearly."""
-    dated = []
+    """Onsets of the leading effects by their responses at the sizes found; the scan takes effects linearly. What was
+    there until a time is dated as its opposite since then, too: where both explain much, one began."""
+    first_s, dated = float(found.twin.time_s[0]), []
     for variant, fit in _leaders(found):
-        if variant.onset_s is not None and not (variant.until_s or variant.grows or variant.gone):
-            other = redated(found.null, variant.name, float(fit.magnitudes[0]), found.settings.least_share)
-            if abs(float(other.onset_s or 0.0) - variant.onset_s) > ONSET_REACHES_S[0]:
-                dated.append(other)
+        if variant.onset_s is None or variant.grows or variant.gone:
+            continue
+        since, size = (variant.onset_s, 1.0) if variant.until_s is None else (variant.until_s, -1.0)
+        if variant.until_s is not None and (variant.onset_s > first_s or found.twin.hypotheses[variant.name].sign):
+            continue
+        other = redated(found.null, variant.name, size * float(fit.magnitudes[0]), found.settings.least_share)
+        if abs(float(other.onset_s or 0.0) - since) > ONSET_REACHES_S[0]:
+            dated.append(other)
     _refit_variants(found, dated)
 
 
@@ -199,10 +204,19 @@ def _compare_leaders(found: Search) -> None:
 
 
 def _refit_courses(found: Search, variants: Sequence[Variant]) -> None:
-    """Refits of variants with other edges than those of the scan, by their own part of the response: what was there
-    until then and begins now would go uphill by that of before."""
-    items = {item.name: item for item in best_of_each(found.scored)}
-    _refit_variants(found, [replace(v, response=v.schedule[:, None] * items[v.name].response) for v in variants])
+    """Refits of variants with other edges than those of the scan, by the part of the response that explains most: what
+    was there until then and begins now would go uphill by that of before."""
+    ways: dict[str, list[Scored]] = {}
+    for item in ways_of_each(found.scored):
+        ways.setdefault(item.name, []).append(item)
+    told = []
+    for variant in variants:
+        own = ways[variant.name]
+        parts = np.stack([variant.schedule[:, None] * way.response for way in own])
+        scored = score(found.null, [(way.name, way.size) for way in own], parts) if len(own) > 1 else []
+        best = max(scored, key=lambda item: item.gain).response if scored else parts[0]
+        told.append(replace(variant, response=best))
+    _refit_variants(found, told)
 
 
 def _refit_variants(found: Search, variants: Sequence[Variant], near: Fit | None = None) -> None:

@@ -17,6 +17,7 @@ from dieseltwin.discovery.likelihood.score import (
     best_of_each,
     effect_responses,
     score,
+    ways_of_each,
     without_parameters,
 )
 from dieseltwin.discovery.search.sums import LEAST_SHARE, Sums, gain_of, gains_since
@@ -73,7 +74,7 @@ def scan(
     The response of a part is taken as that part of the response: exact for an onset at a window's start (windows start
     anew), nearly so for a region (pressures follow within a second). Refits simulate it in full.
     """
-    items = best_of_each(scored)
+    items = ways_of_each(scored)
     if not items:
         return []
     sums = Sums(at, items, least_share)
