@@ -117,3 +117,14 @@ def test_a_throttle_that_is_wide_open_beside_an_effect_is_not_judged(
     high = [{"p_ic_gain": 0.03 * np.ones(len(twin.time_s))}]
     beside = PetrolTwin(engine, read, explained=high).measured[seconds, j]
     assert np.isfinite(twin.robust_scales()[0][seconds, j]).any() and not np.isfinite(beside).any()
+
+
+def test_an_offset_that_is_explained_is_no_noise(engine: PetrolParameters, record: Recorder) -> None:
+    """The pressures' noise goes through the balances beside an offset of that pressure as beside a gain."""
+    s = record(2, 400.0).signals
+    low = replace(s, p_ic=0.97 * s.p_ic)
+    ones = np.ones(len(PetrolTwin(engine, low).time_s))
+    beside = [PetrolTwin(engine, low, explained=[{name: size * ones}]) for name, size in
+              (("p_ic_gain", -0.03), ("p_ic_offset", -0.03 * float(s.p_ic.mean())))]  # fmt: skip
+    gain, offset = (np.median(twin.whitening().scale, axis=0) for twin in beside)
+    np.testing.assert_allclose(offset, gain, rtol=0.3)

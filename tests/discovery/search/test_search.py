@@ -19,7 +19,14 @@ from dieseltwin.discovery.likelihood.nuisance import (
     tolerance_modes,
 )
 from dieseltwin.discovery.likelihood.refit import refit_all
-from dieseltwin.discovery.likelihood.score import best_of_each, chance, effect_responses, score, secant_sizes
+from dieseltwin.discovery.likelihood.score import (
+    best_of_each,
+    chance,
+    effect_responses,
+    score,
+    secant_sizes,
+    ways_of_each,
+)
 from dieseltwin.discovery.search import run as search
 from dieseltwin.discovery.search.courses import schedule_of
 from dieseltwin.discovery.search.explanations import choose
@@ -142,6 +149,19 @@ def test_chord_refit_agrees_with_the_full_one() -> None:
     (chord,) = refit_all(null, [Candidate(("drag",))], [effect_responses(toy, null, wanted)])
     full = _at(toy, drag=0.0).fit
     assert chord.magnitudes[0] == pytest.approx(full.magnitudes[0], abs=0.2 * full.std[1])
+
+
+def test_ways_of_an_effect_that_differ_are_kept() -> None:
+    """Next to a kink an effect does one thing upwards and another downwards; both may begin in the middle."""
+    toy = Toy().record()
+    null = _at(toy)
+    leak, offset = effect_responses(toy, null, [("leak", 0.01), ("x_offset", 0.02)])
+    wanted = [("leak", 0.01), ("leak", -0.01), ("x_offset", 0.02), ("x_offset", -0.02)]
+    scored = score(null, wanted, np.stack([leak, 1.1 * leak, offset, leak + 0.1 * offset]))
+    kept = ways_of_each(scored)
+    assert sorted(item.size for item in kept if item.name == "x_offset") == [-0.02, 0.02]
+    assert [item.name for item in kept].count("leak") == 1
+    assert {item.name for item in best_of_each(scored)} == {"leak", "x_offset"}
 
 
 @pytest.mark.thorough
