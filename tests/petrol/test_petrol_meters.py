@@ -95,7 +95,7 @@ def test_a_jump_of_a_slow_reading_hangs_on_its_second_and_counts(engine: PetrolP
     jump = found.twin.expected_with({"t_ic_offset": late}) - found.twin.expected_with({})
     direction = without_parameters(found.null, found.null.metric.project(jump[None]))[0]
     # a real charge that wanders by its healthy scatter leaves 0.2 less
-    assert settings.least_spread + 0.2 < spread(found.null, direction) < 0.6
+    assert settings.least_spread + 0.2 < spread(found.null, direction) < 0.7
 
 
 def test_how_far_a_charge_varies_is_learned(record: Recorder) -> None:
