@@ -14,7 +14,7 @@ from dieseltwin.learning.alarm import Alarm, Course
 from dieseltwin.learning.history import HEALTHY, Entry, TakenOut
 from dieseltwin.notes import counted
 from dieseltwin.report import quantities, style
-from dieseltwin.report.discovery_words import magnitude_words, site_words
+from dieseltwin.report.discovery_words import display_unit, magnitude_words, site_words, unit_of
 from dieseltwin.report.page import Page, Section, Table
 from dieseltwin.report.trend import Trend, trend_figure
 
@@ -32,7 +32,7 @@ def sentence(entries: Sequence[Entry], course: Course, alarms_per_year: float) -
     alarm, last = course.alarm, entries[-1].verdict
     if alarm is None:
         alone = "" if last == HEALTHY else f"; but the last recording by itself shows {last}"
-        return (f"No alarm over {span}: the evidence for a change is {course.evidence[-1]:.2g} where "
+        return (f"No alarm over {span}: the evidence for a change that matters is {course.evidence[-1]:.2g} where "
                 f"{course.threshold:g} is an alarm ({rate}); wear of the health parameters is no alarm{alone}.")
     size = magnitude_words(alarm.name, alarm.size, alarm.std, alarm.unit, extra=False)
     or_others = f" or {', '.join(alarm.others)}" if alarm.others else ""
@@ -44,7 +44,7 @@ def sentence(entries: Sequence[Entry], course: Course, alarms_per_year: float) -
     if alarm.earliest.date() != alarm.latest.date():
         perhaps = f" (at the earliest {alarm.earliest:{_DAY}}, at the latest {alarm.latest:{_DAY}})"
     # the evidence adds up linear estimates, which a strong fault bends; a recording's verdict was refitted
-    expected = alarm.name in last.split(" or ") or (last == HEALTHY and alarm.gone is None)
+    expected = last in (alarm.name, HEALTHY if alarm.gone is None else alarm.name)
     alone = "" if expected else f"; the last recording by itself shows {last}"
     return (
         f"Alarm with the recording of {entries[alarm.at].moment:{_DAY}}: in {site_words(alarm.site)} something has "
@@ -90,6 +90,8 @@ def table(entries: Sequence[Entry], course: Course) -> pd.DataFrame:
             row |= {f"{name}_since": entry.since[j], f"{name}_since_std": entry.since_std[j]}
         for site, (effect, distance) in strongest(entry).items():
             row |= {f"score:{site}": distance, f"effect:{site}": effect}
+        for name, (size, std) in entry.sizes.items():
+            row |= {f"size:{name}": size, f"size_std:{name}": std}
         rows.append({**row, "evidence": evidence, "verdict": entry.verdict})
     return pd.DataFrame(rows)
 
@@ -123,6 +125,14 @@ def evidence(entries: Sequence[Entry], course: Course) -> style.ReportFigure | N
         return None
     levels = np.log10(np.maximum(course.evidence, _LEAST_EVIDENCE))
     panels = [Trend("evidence of a change, log10", list(levels), level=float(np.log10(course.threshold)), line=True)]
+    caption = ("Evidence of a change that matters besides health, dashed: alarm; and the effects that show most, "
+               "each estimated in each recording beside its health, with 90 % intervals.")  # fmt: skip
+    if (alarm := course.alarm) is not None:
+        unit, factor = display_unit(alarm.name, alarm.unit)
+        panels.append(Trend(f"{alarm.name.replace('_', ' ')} [{unit or '–'}]", list(factor * alarm.sizes),
+                            list(factor * alarm.stds), 0.0))  # fmt: skip
+        caption += (" The size of what the alarm is about is each recording's own refit where that names it, else the "
+                    "estimate against the recordings before.")  # fmt: skip
     for name in _leading(entries, course):
         found = [next((score for score in entry.scores if score.name == name), None) for entry in entries]
         panels.append(
@@ -132,19 +142,18 @@ def evidence(entries: Sequence[Entry], course: Course) -> style.ReportFigure | N
                 [np.nan if score is None else 1.0 for score in found], 0.0,
             )
         )  # fmt: skip
-    caption = ("Evidence that something besides health has changed, dashed: alarm; and the effects that show most, "
-               "each estimated in each recording by itself, with 90 % intervals.")  # fmt: skip
     return trend_figure("evidence", "Evidence of a change", caption, panels, *_when(entries, course))
 
 
 def _leading(entries: Sequence[Entry], course: Course) -> list[str]:
-    first = [] if course.alarm is None else [course.alarm.name]
+    """Names of the effects whose estimates show most, besides the alarm's."""
     total: dict[str, float] = {}
     for entry in entries:
         for score in entry.scores:
             total[score.name] = total.get(score.name, 0.0) + score.estimate / score.std
+    first = "" if course.alarm is None else course.alarm.name
     ranked = sorted(total, key=lambda name: -abs(total[name]))
-    return list(dict.fromkeys([*first, *ranked]))[: _SHOWN_SITES - 1]
+    return [name for name in ranked if name != first][: _SHOWN_SITES - 1 - bool(first)]
 
 
 def _when(entries: Sequence[Entry], course: Course) -> tuple[list, list]:
@@ -160,7 +169,7 @@ def page(entries: Sequence[Entry], course: Course, said: str, taken_out: Sequenc
     heads = ("date", "recording", "min", "kPa", "°C", *(f"{name} [%]" for name in HEALTH), "evidence", "by itself")
     rows = [
         (f"{entry.moment:{_DAY}}", entry.path, f"{60.0 * entry.hours:.0f}", f"{1e-3 * entry.p_amb_pa:.1f}",
-         f"{entry.t_amb_k - 273.15:.0f}", *_changes(entry), f"{value:.2g}", entry.verdict)
+         f"{entry.t_amb_k - 273.15:.0f}", *_changes(entry), f"{value:.2g}", _by_itself(entry))
         for entry, value in zip(entries, course.evidence, strict=True)
     ]  # fmt: skip
     words = ("Health is the change since the reference, ± one standard deviation. Dates are those of each recording's "
@@ -187,10 +196,16 @@ def _title(alarm: Alarm | None) -> str:
 
 def _gone(taken_out: Sequence[TakenOut]) -> tuple[Table, ...]:
     """What doesn't count any more, and why; no table without any."""
-    rows = [(f"{out.entry.moment:{_DAY}}", out.entry.path, out.day[:10], out.reason, out.entry.verdict)
+    rows = [(f"{out.entry.moment:{_DAY}}", out.entry.path, out.day[:10], out.reason, _by_itself(out.entry))
             for out in taken_out]  # fmt: skip
     heads = ("date", "recording", "taken out", "reason", "by itself")
     return (Table(heads, rows, words=(0, 1, 2, 3, 4), long=(3, 4), title="Taken out"),) if rows else ()
+
+
+def _by_itself(entry: Entry) -> str:
+    """A recording's own verdict, with the sizes of what it names."""
+    sizes = [magnitude_words(name, size, std, unit_of(name), extra=False) for name, (size, std) in entry.sizes.items()]
+    return ", ".join([entry.verdict, *sizes])
 
 
 def _changes(entry: Entry) -> list[str]:
