@@ -20,6 +20,7 @@ from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.discovery.verdict.curves import Discovery
 from dieseltwin.discovery.verdict.when import moments
 from dieseltwin.report import quantities, style
+from dieseltwin.report.circumstance_words import shown_day
 from dieseltwin.report.over_time import extremes
 from dieseltwin.report.results import Results
 from dieseltwin.report.segment_axis import WIDTH_IN
@@ -161,7 +162,18 @@ def discovery_series(found: Discovery) -> Series:
     curves = found.curves
     before = list(curves.before.T) if found.document.mismatch else None
     panels = repair_panels(curves.time_s, curves.channels, list(curves.measured.T), before, list(curves.after.T))
-    return Series(panels, marks=tuple(Mark(name, curves.start_s + at) for name, at in moments(found.document.location)))
+    marks = (Mark(name, curves.start_s + at) for name, at in moments(found.document.location))
+    return Series(panels, marks=(*marks, *_begins(found)))
+
+
+def _begins(found: Discovery) -> list[Mark]:
+    """Where each of several recordings begins on the axis on which they follow each other; none on one."""
+    time_s, row, marks = found.curves.time_s, 0, []
+    for judged in found.document.recordings:
+        if row < time_s.size:
+            marks.append(Mark(f"{shown_day(judged.date)} ({judged.path})", float(time_s[row])))
+            row = int(np.searchsorted(time_s, time_s[row] + judged.duration_s + 0.5))  # a second apart
+    return marks
 
 
 def results_series(results: Results) -> Series | None:
