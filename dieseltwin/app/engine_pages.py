@@ -31,7 +31,8 @@ def _page(desk: Desk, status: int = 200, error: str = "") -> Response:
         (key, words, None, history_of(desk, key)) for key, words in SHIPPED.items()
     ]
     rows += [(kept.id, kept.name, kept, history_of(desk, kept.id)) for kept in desk.store.engines()]
-    shown = [{"key": key, "name": name, "kept": kept, "count": len(past), "alarms": alarms_of(past),
+    shown = [{"key": key, "name": name, "kept": kept, "count": len(past),
+              "alarms": len(alarms_of(past)) + bool((_watched(desk, kept) or {}).get("alarm")),
               "check": None if kept is None else desk.short(kept.check)} for key, name, kept, past in rows]  # fmt: skip
     usable = [kept for kept in desk.store.recordings() if desk.store.channels(kept.id) is not None]
     return desk.page("engines.html.j2", status, tab="engines", engines=shown, recordings=usable,
@@ -93,7 +94,7 @@ def show(request: Request, key: str) -> Response:
 
 
 def _watched(desk: Desk, kept: KeptEngine | None) -> dict[str, Any] | None:
-    """What the history of an engine says, and whether it is an alarm; None without a history."""
+    """What the history of an engine says, and whether it calls for a look; None without a history."""
     return None if kept is None else content_of(desk.store.engine_folder(kept.id) / WATCHED)
 
 

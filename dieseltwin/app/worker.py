@@ -240,7 +240,8 @@ def _keep_history(worker: Worker, found: Watched) -> str:
     write_text(folder / HISTORY_PAGE, (worker.result() / HISTORY_PAGE).read_text(encoding="utf-8"))
     there = [{"sha256": e.sha256, "words": f"{e.path}, {e.date[:10]}, {e.verdict}"} for e in found.entries]
     out = [{"sha256": one.entry.sha256, "words": str(one)} for one in found.taken_out]
-    said = {"sentence": found.sentence, "alarm": found.course.alarm is not None, "recordings": there, "taken_out": out}
+    calls = found.course.alarm is not None or bool(found.entries and found.entries[-1].shown.names)
+    said = {"sentence": found.sentence, "alarm": calls, "recordings": there, "taken_out": out}
     write_json(folder / WATCHED, sealed_json(said))
     return found.sentence
 

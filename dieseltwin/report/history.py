@@ -31,7 +31,8 @@ def sentence(entries: Sequence[Entry], course: Course, alarms_per_year: float) -
     span = f"{counted(len(entries), 'recording')}, {_days(entries[0].moment, entries[-1].moment)}"
     alarm, last = course.alarm, entries[-1].verdict
     if alarm is None:
-        alone = "" if last == HEALTHY else f"; but the last recording by itself shows {last}"
+        alone = ("" if last == HEALTHY else f"; but the last recording by itself shows {_by_itself(entries[-1])}, "
+                 "and one recording alone raises no alarm: record again")
         return (f"No alarm over {span}: the evidence for a change that matters is {course.evidence[-1]:.2g} where "
                 f"{course.threshold:g} is an alarm ({rate}); wear of the health parameters is no alarm{alone}.")
     size = magnitude_words(alarm.name, alarm.size, alarm.std, alarm.unit, extra=False)
@@ -45,7 +46,7 @@ def sentence(entries: Sequence[Entry], course: Course, alarms_per_year: float) -
         perhaps = f" (at the earliest {alarm.earliest:{_DAY}}, at the latest {alarm.latest:{_DAY}})"
     # the evidence adds up linear estimates, which a strong fault bends; a recording's verdict was refitted
     expected = last in (alarm.name, HEALTHY if alarm.gone is None else alarm.name)
-    alone = "" if expected else f"; the last recording by itself shows {last}"
+    alone = "" if expected else f"; the last recording by itself shows {_by_itself(entries[-1])}"
     return (
         f"Alarm with the recording of {entries[alarm.at].moment:{_DAY}}: in {site_words(alarm.site)} something has "
         f"changed, most likely {alarm.name} ({why}){or_others}, about {size} by "
@@ -120,20 +121,23 @@ def health(entries: Sequence[Entry], course: Course) -> style.ReportFigure | Non
 
 
 def evidence(entries: Sequence[Entry], course: Course) -> style.ReportFigure | None:
-    """Evidence of a change after each recording, and the estimates of the effects that show most; None without."""
+    """Evidence of a change after each recording, and the effects that show most or are the alarm's; None without."""
     if not entries:
         return None
     levels = np.log10(np.maximum(course.evidence, _LEAST_EVIDENCE))
     panels = [Trend("evidence of a change, log10", list(levels), level=float(np.log10(course.threshold)), line=True)]
-    caption = ("Evidence of a change that matters besides health, dashed: alarm; and the effects that show most, "
-               "each estimated in each recording beside its health, with 90 % intervals.")  # fmt: skip
+    caption = "Evidence of a change that matters besides health, dashed: alarm."
+    shown = _leading(entries) if course.alarm is None else course.alarm.others
     if (alarm := course.alarm) is not None:
         unit, factor = display_unit(alarm.name, alarm.unit)
         panels.append(Trend(f"{alarm.name.replace('_', ' ')} [{unit or '–'}]", list(factor * alarm.sizes),
                             list(factor * alarm.stds), 0.0))  # fmt: skip
-        caption += (" The size of what the alarm is about is each recording's own refit where that names it, else the "
-                    "estimate against the recordings before.")  # fmt: skip
-    for name in _leading(entries, course):
+        caption += (" The size of what the alarm is about, with 90 % intervals: each recording's own refit where that "
+                    "names it, else the estimate against the recordings before.")  # fmt: skip
+    if shown:
+        caption += (f" The effects that {'show most' if alarm is None else 'it may be as well'}, each estimated in "
+                    "each recording beside its health alone, with 90 % intervals.")  # fmt: skip
+    for name in shown:
         found = [next((score for score in entry.scores if score.name == name), None) for entry in entries]
         panels.append(
             Trend(
@@ -145,15 +149,14 @@ def evidence(entries: Sequence[Entry], course: Course) -> style.ReportFigure | N
     return trend_figure("evidence", "Evidence of a change", caption, panels, *_when(entries, course))
 
 
-def _leading(entries: Sequence[Entry], course: Course) -> list[str]:
-    """Names of the effects whose estimates show most, besides the alarm's."""
+def _leading(entries: Sequence[Entry]) -> list[str]:
+    """Names of the effects whose estimates show most. After an alarm they would be those that a fault looks like, one
+    by one: a boost leak of 30 mm2 as a turbine's loss of 90 standard deviations."""
     total: dict[str, float] = {}
     for entry in entries:
         for score in entry.scores:
             total[score.name] = total.get(score.name, 0.0) + score.estimate / score.std
-    first = "" if course.alarm is None else course.alarm.name
-    ranked = sorted(total, key=lambda name: -abs(total[name]))
-    return [name for name in ranked if name != first][: _SHOWN_SITES - 1 - bool(first)]
+    return sorted(total, key=lambda name: -abs(total[name]))[: _SHOWN_SITES - 1]
 
 
 def _when(entries: Sequence[Entry], course: Course) -> tuple[list, list]:
@@ -164,7 +167,7 @@ def _when(entries: Sequence[Entry], course: Course) -> tuple[list, list]:
 def page(entries: Sequence[Entry], course: Course, said: str, taken_out: Sequence[TakenOut] = ()) -> Page:
     """What the page says; `said` is its headline."""
     figures = [figure for figure in (health(entries, course), evidence(entries, course)) if figure is not None]
-    hours = sum(entry.hours for entry in entries)
+    hours, shows = sum(entry.hours for entry in entries), bool(entries) and entries[-1].verdict != HEALTHY
     dates = " or its ".join(sorted({entry.date_from for entry in entries}))
     heads = ("date", "recording", "min", "kPa", "°C", *(f"{name} [%]" for name in HEALTH), "evidence", "by itself")
     rows = [
@@ -175,10 +178,10 @@ def page(entries: Sequence[Entry], course: Course, said: str, taken_out: Sequenc
     words = ("Health is the change since the reference, ± one standard deviation. Dates are those of each recording's "
              f"{dates}.")
     return Page(
-        title=_title(course.alarm),
+        title=_title(course.alarm, shows),
         about=f"{len(entries)} recordings · {hours:.3g} h of running engine",
         headline=Markup(quantities.with_symbols(said)),
-        alarm=course.alarm is not None,
+        alarm=course.alarm is not None or shows,
         sections=(
             Section("course", "Since the reference", tuple(figures)),
             Section("recordings", "Recordings", words=words,
@@ -188,9 +191,10 @@ def page(entries: Sequence[Entry], course: Course, said: str, taken_out: Sequenc
     )  # fmt: skip
 
 
-def _title(alarm: Alarm | None) -> str:
+def _title(alarm: Alarm | None, shows: bool) -> str:
+    """The heading; `shows`: the last recording by itself shows something."""
     if alarm is None:
-        return "No change but wear"
+        return "No alarm, but the last recording shows something" if shows else "No change but wear"
     return "Alarm: the engine has changed" if alarm.gone is None else "The engine had changed, and what it was is gone"
 
 

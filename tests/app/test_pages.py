@@ -153,9 +153,11 @@ def test_a_recording_is_taken_out_of_a_history_and_counts_again(client: TestClie
         store.add(entry(k))
     found = history(folder / "history")
     there = [{"sha256": one.sha256, "words": one.path} for one in found.entries]
-    write_json(folder / "watched.json", sealed_json({"sentence": found.sentence, "alarm": False, "recordings": there,
+    write_json(folder / "watched.json", sealed_json({"sentence": found.sentence, "alarm": True, "recordings": there,
                                                      "taken_out": []}))  # fmt: skip
     page, which = f"/engines/{kept.id}", entry(1).sha256
+    calls = re.search(rf'href="/engines/{kept.id}">.*?</tr>', client.get("/engines").text, re.DOTALL)
+    assert calls is not None and '<span class="tag check">1</span>' in calls.group(0)  # the history's alarm
     assert "Take it out" in client.get(page).text and "Let it count again" not in client.get(page).text
     for wrong in ({"recording": which, "reason": "  "}, {"recording": "f" * 64, "reason": "x"}, {"recording": which}):
         assert client.post(f"{page}/history", data=wrong).status_code == 422

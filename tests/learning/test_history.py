@@ -20,7 +20,7 @@ from dieseltwin.learning.history import FILE_NAME, Entry, History, from_json, to
 from dieseltwin.learning.sketches import shared, sketch
 from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.reader import Recording
-from dieseltwin.report.history import page, sentence, table
+from dieseltwin.report.history import evidence, page, sentence, table
 from tests.disk import full_beyond
 
 ENGINE = "e" * 64
@@ -273,5 +273,29 @@ def test_sizes_of_a_verdict_are_kept_shown_and_told(tmp_path: Path) -> None:
     assert without is not None and without.sizes == {}
     course = Course(np.zeros(2), 50.0, None)
     assert table([entry(0), after], course)["size:boost_leak"].tolist()[1] == 14.7e-6
-    told = page([entry(0), after], course, "No alarm.").sections[1].tables[0].rows
+    said = page([entry(0), after], course, "No alarm.")
+    assert said.title == "No alarm, but the last recording shows something" and said.alarm
+    assert page([after, entry(2)], course, "No alarm.").title == "No change but wear"  # of the last one alone
+    words = sentence([entry(0), after], course, 0.02)
+    assert "shows boost_leak or blow_by, 14.70 ± 0.50 mm², and one recording alone raises no alarm" in words
+    told = said.sections[1].tables[0].rows
     assert told[0][-1] == "healthy" and told[1][-1] == "boost_leak or blow_by, 14.70 ± 0.50 mm²"
+
+
+def test_the_page_of_an_alarm_shows_its_size_and_no_look_alikes() -> None:
+    entries = [entry(k) for k in range(3)]
+    other = Score("blow_by", "exhaust_mass_balance", "-", 0.01, True, 0.9, 0.01, np.zeros(5))  # 90 deviations
+    entries = [replace(one, scores=(*one.scores, other)) for one in entries]
+    alarm = Alarm(1, "boost_leak", "intake_mass_balance", "m2", 1.0, (), 13e-6, 1e-6, False, entries[1].moment,
+                  entries[0].moment, entries[1].moment, 400.0, np.array([0.0, 13e-6, 15e-6]),
+                  np.full(3, 1e-6))  # fmt: skip
+
+    def titles(course: Course) -> list[str]:
+        figure = evidence(entries, course)
+        assert figure is not None
+        return [axes.get_title("left") for axes in figure.figure.axes if axes.get_visible()]
+
+    course = Course(np.full(3, 400.0), 50.0, alarm)
+    assert titles(course) == ["evidence of a change, log10", "boost leak [mm²]"]
+    assert "blow by [standard deviations]" in titles(replace(course, alarm=replace(alarm, others=("blow_by",))))
+    assert "blow by [standard deviations]" in titles(replace(course, alarm=None))
