@@ -248,8 +248,9 @@ def _apart_words(document: Discrepancy) -> str:
         if _may_sit_elsewhere(document):
             parts.append("no law at another site explains as much")
         else:
+            judged = "recordings" if document.recordings else "recording"
             parts.append("no other site comes into question" if unnamed
-                         else "no other effect of the catalogue explains the recording as well")
+                         else f"no other effect of the catalogue explains the {judged} as well")
     return " and ".join(parts)
 
 

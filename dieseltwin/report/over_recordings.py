@@ -6,10 +6,11 @@ import math
 from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 
+import pandas as pd
 from markupsafe import Markup
 
 from dieseltwin.discovery.verdict.curves import Discovery
-from dieseltwin.discovery.verdict.document import JudgedRecording
+from dieseltwin.discovery.verdict.document import Discrepancy, JudgedRecording
 from dieseltwin.discovery.verdict.health_value import HealthValue
 from dieseltwin.report import quantities, style
 from dieseltwin.report.circumstance_words import shown_day
@@ -51,6 +52,24 @@ def tables(found: Discovery) -> tuple[Table, ...]:
                      f"{item.t_amb_k - 273.15:.0f}".replace("-", "−"), *told, *changes))  # fmt: skip
     about = "Health: change since the reference, or since the first recording without one, ± one standard deviation."
     return (Table(heads, rows, words=(0, 1), about=about),)
+
+
+def frame(document: Discrepancy) -> pd.DataFrame:
+    """A row for each of several recordings, SI units in the names; no row for one."""
+    rows = []
+    for item in document.recordings:
+        row: dict[str, object] = {
+            "date": item.date, "date_from": item.date_from, "recording": item.path, "duration_s": item.duration_s,
+            "p_amb_pa": item.p_amb_pa, "t_amb_k": item.t_amb_k,
+        }  # fmt: skip
+        for name, level in item.health.items():
+            row |= {name: level.value, f"{name}_std": level.std}
+            if level.since_reference is not None:
+                row |= {f"{name}_since": level.since_reference.value, f"{name}_since_std": level.since_reference.std}
+        for name, size in item.magnitudes.items():
+            row |= {f"size:{name}": size.value, f"size_std:{name}": size.std}
+        rows.append(row)
+    return pd.DataFrame(rows)
 
 
 def _change(value: float, std: float) -> str:

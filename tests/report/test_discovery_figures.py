@@ -213,4 +213,7 @@ def test_several_recordings_have_a_table_their_beginnings_and_one_word_for_when(
     shown = findings.findings(document)
     assert shown is not None and shown.rows[0][5] == "has grown to this size since 2026-01-15"
     assert "where it has grown to this size since 2026-01-15" in sentence(document)
-    assert over_recordings.tables(leak) == ()
+    told = over_recordings.frame(document)
+    assert told["size:boost_leak"].tolist() == [0.0, 20e-6] and told["recording"].tolist() == [
+        "2026-01-15.csv", "2026-03-29.csv"]  # fmt: skip
+    assert over_recordings.tables(leak) == () and over_recordings.frame(leak.document).empty
