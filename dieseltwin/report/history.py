@@ -20,7 +20,7 @@ from dieseltwin.report.trend import Trend, trend_figure
 
 _LEAST_EVIDENCE = 1e-3  # shown; below, nothing speaks for a change
 _SHOWN_SITES = 4
-_DAY = "%Y-%m-%d"
+DAY = "%Y-%m-%d"
 
 
 def sentence(entries: Sequence[Entry], course: Course, alarms_per_year: float) -> str:
@@ -31,7 +31,7 @@ def sentence(entries: Sequence[Entry], course: Course, alarms_per_year: float) -
     span = f"{counted(len(entries), 'recording')}, {_days(entries[0].moment, entries[-1].moment)}"
     alarm, last = course.alarm, entries[-1].verdict
     if alarm is None:
-        alone = ("" if last == HEALTHY else f"; but the last recording by itself shows {_by_itself(entries[-1])}, "
+        alone = ("" if last == HEALTHY else f"; but the last recording by itself shows {by_itself(entries[-1])}, "
                  "and one recording alone raises no alarm: record again")
         return (f"No alarm over {span}: the evidence for a change that matters is {course.evidence[-1]:.2g} where "
                 f"{course.threshold:g} is an alarm ({rate}); wear of the health parameters is no alarm{alone}.")
@@ -40,17 +40,18 @@ def sentence(entries: Sequence[Entry], course: Course, alarms_per_year: float) -
     why = f"{100 * alarm.share:.0f} % of the evidence"
     if alarm.shown:
         why = f"{counted(alarm.shown, 'recording')} {'show' if alarm.shown > 1 else 'shows'} it alone; {why}"
+    about = "" if alarm.name in entries[alarm.at].sizes else "about "
     way = "growing since" if alarm.grows else "there since"
     perhaps = ""
     if alarm.earliest.date() != alarm.latest.date():
-        perhaps = f" (at the earliest {alarm.earliest:{_DAY}}, at the latest {alarm.latest:{_DAY}})"
+        perhaps = f" (at the earliest {alarm.earliest:{DAY}}, at the latest {alarm.latest:{DAY}})"
     # the evidence adds up linear estimates, which a strong fault bends; a recording's verdict was refitted
     expected = last in (alarm.name, HEALTHY if alarm.gone is None else alarm.name)
-    alone = "" if expected else f"; the last recording by itself shows {_by_itself(entries[-1])}"
+    alone = "" if expected else f"; the last recording by itself shows {by_itself(entries[-1])}"
     return (
-        f"Alarm with the recording of {entries[alarm.at].moment:{_DAY}}: in {site_words(alarm.site)} something has "
-        f"changed, most likely {alarm.name} ({why}){or_others}, about {size} by "
-        f"then, {way} {alarm.since:{_DAY}}{perhaps}{_afterwards(alarm, entries)}{alone}; {span}; {rate}. "
+        f"Alarm with the recording of {entries[alarm.at].moment:{DAY}}: in {site_words(alarm.site)} something has "
+        f"changed, most likely {alarm.name} ({why}){or_others}, {about}{size} by "
+        f"then, {way} {alarm.since:{DAY}}{perhaps}{_afterwards(alarm, entries)}{alone}; {span}; {rate}. "
         "`dieseltwin discover` on these recordings together says what it is."
     )
 
@@ -61,8 +62,8 @@ def _afterwards(alarm: Alarm, entries: Sequence[Entry]) -> str:
         return ""
     now = magnitude_words(alarm.name, float(alarm.sizes[-1]), float(alarm.stds[-1]), alarm.unit, extra=False)
     if alarm.gone is None:
-        return f", {now} in the last recording"
-    since = f"{entries[alarm.gone].moment:{_DAY}}"
+        return f", {'' if alarm.name in entries[-1].sizes else 'about '}{now} in the last recording"
+    since = f"{entries[alarm.gone].moment:{DAY}}"
     return f"; since the recording of {since} it isn't there any more ({now} in the last one)"
 
 
@@ -78,7 +79,7 @@ def without(taken_out: Sequence[TakenOut], with_them: Course) -> str:
 
 def _days(first: datetime, last: datetime) -> str:
     """From one day to another, or the one day."""
-    return f"{first:{_DAY}} to {last:{_DAY}}" if first.date() != last.date() else f"{first:{_DAY}}"
+    return f"{first:{DAY}} to {last:{DAY}}" if first.date() != last.date() else f"{first:{DAY}}"
 
 
 def table(entries: Sequence[Entry], course: Course) -> pd.DataFrame:
@@ -171,8 +172,8 @@ def page(entries: Sequence[Entry], course: Course, said: str, taken_out: Sequenc
     dates = " or its ".join(sorted({entry.date_from for entry in entries}))
     heads = ("date", "recording", "min", "kPa", "°C", *(f"{name} [%]" for name in HEALTH), "evidence", "by itself")
     rows = [
-        (f"{entry.moment:{_DAY}}", entry.path, f"{60.0 * entry.hours:.0f}", f"{1e-3 * entry.p_amb_pa:.1f}",
-         f"{entry.t_amb_k - 273.15:.0f}", *_changes(entry), f"{value:.2g}", _by_itself(entry))
+        (f"{entry.moment:{DAY}}", entry.path, f"{60.0 * entry.hours:.0f}", f"{1e-3 * entry.p_amb_pa:.1f}",
+         f"{entry.t_amb_k - 273.15:.0f}", *_changes(entry), f"{value:.2g}", by_itself(entry))
         for entry, value in zip(entries, course.evidence, strict=True)
     ]  # fmt: skip
     words = ("Health is the change since the reference, ± one standard deviation. Dates are those of each recording's "
@@ -200,13 +201,13 @@ def _title(alarm: Alarm | None, shows: bool) -> str:
 
 def _gone(taken_out: Sequence[TakenOut]) -> tuple[Table, ...]:
     """What doesn't count any more, and why; no table without any."""
-    rows = [(f"{out.entry.moment:{_DAY}}", out.entry.path, out.day[:10], out.reason, _by_itself(out.entry))
+    rows = [(f"{out.entry.moment:{DAY}}", out.entry.path, out.day[:10], out.reason, by_itself(out.entry))
             for out in taken_out]  # fmt: skip
     heads = ("date", "recording", "taken out", "reason", "by itself")
     return (Table(heads, rows, words=(0, 1, 2, 3, 4), long=(3, 4), title="Taken out"),) if rows else ()
 
 
-def _by_itself(entry: Entry) -> str:
+def by_itself(entry: Entry) -> str:
     """A recording's own verdict, with the sizes of what it names."""
     sizes = [magnitude_words(name, size, std, unit_of(name), extra=False) for name, (size, std) in entry.sizes.items()]
     return ", ".join([entry.verdict, *sizes])

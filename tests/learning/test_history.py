@@ -217,8 +217,10 @@ def test_an_alarm_says_what_became_of_it() -> None:
     there = replace(alarm, sizes=np.array([0.0, 13e-6, 13e-6, 15e-6]), gone=None)
     both = replace(entries[3], verdict="exhaust_leak + w_c_gain")
     words = sentence([*entries[:3], both], replace(told, alarm=there), 0.02)
-    assert "15.0 ± 1.0 mm² in the last recording" in words and "any more" not in words
+    assert ", about 15.0 ± 1.0 mm² in the last recording" in words and "any more" not in words
     assert "by itself shows exhaust_leak + w_c_gain" in words
+    told_alone = replace(both, sizes={"exhaust_leak": (15e-6, 1e-6)})  # refitted: no longer about
+    assert ", 15.0 ± 1.0 mm² in the last" in sentence([*entries[:3], told_alone], replace(told, alarm=there), 0.02)
 
 
 def test_what_is_taken_out_counts_no_more_is_kept_and_comes_back(tmp_path: Path) -> None:
