@@ -59,16 +59,16 @@ class OfEngine:
         alarm, state = self.course.alarm, self.state
         if state == LOOK:
             return by_itself(self.entries[-1])
-        return _alarm_words(alarm) if alarm is not None and state in (ALARM, GONE) else ""
+        return _alarm_words(alarm, self.entries) if alarm is not None and state in (ALARM, GONE) else ""
 
 
-def _alarm_words(alarm: Alarm) -> str:
+def _alarm_words(alarm: Alarm, entries: Sequence[Entry]) -> str:
     """What an alarm is about, its size in the last recording that tells it, and since when."""
-    told = np.flatnonzero(np.isfinite(alarm.sizes))
-    size = magnitude_words(alarm.name, float(alarm.sizes[told[-1]]), float(alarm.stds[told[-1]]), alarm.unit,
-                           extra=False)  # fmt: skip
+    last = int(np.flatnonzero(np.isfinite(alarm.sizes))[-1])
+    size = magnitude_words(alarm.name, float(alarm.sizes[last]), float(alarm.stds[last]), alarm.unit, extra=False)
+    about = "" if alarm.name in entries[last].sizes else "about "
     names, way = " or ".join([alarm.name, *alarm.others]), "growing" if alarm.grows else "there"
-    return f"{names}, {size} in the last recording, {way} since {alarm.since:{DAY}}"
+    return f"{names}, {about}{size} on {entries[last].moment:{DAY}}, {way} since {alarm.since:{DAY}}"
 
 
 def ordered(engines: Sequence[OfEngine]) -> list[OfEngine]:
@@ -83,9 +83,9 @@ def sentence(engines: Sequence[OfEngine], alarms_per_year: float) -> str:
     have = "have" if len(alarmed) > 1 else "has"
     said = f"{len(alarmed) or 'None'} of {counted(len(engines), 'engine')} {have} an alarm"
     if alarmed:
-        said += f": {_named([f'{one.name} ({one.words})' for one in alarmed])}"
+        said += f": {_named([f'{one.name} ({_effect(one)})' for one in alarmed])}"
     if look:
-        names = _named([f"{one.name} ({one.words})" for one in look])
+        names = _named([f"{one.name} ({one.entries[-1].verdict})" for one in look])
         said += f"; without an alarm, the last recording alone shows something of {len(look)}: {names}"
     if of_state[GONE]:
         said += f"; what was an alarm is gone of {_named([one.name for one in of_state[GONE]])}"
@@ -94,6 +94,11 @@ def sentence(engines: Sequence[OfEngine], alarms_per_year: float) -> str:
     expected = alarms_per_year * len(engines)
     return (f"{said}. At {alarms_per_year:g} false alarms an engine and year at most, up to {expected:.2g} a year "
             "among so many engines are for nothing.")  # fmt: skip
+
+
+def _effect(one: OfEngine) -> str:
+    alarm = one.course.alarm
+    return "" if alarm is None else " or ".join([alarm.name, *alarm.others])
 
 
 def _named(items: Sequence[str]) -> str:
@@ -150,7 +155,8 @@ def page(engines: Sequence[OfEngine], said: str, links: Mapping[str, str]) -> Pa
         engines: of the fleet; said: its headline.
         links: name -> address of the page of an engine's own history.
     """
-    heads = ("engine", "state", "about", "recordings", "last", "evidence", *(f"{name} [%]" for name in HEALTH))
+    levels = [Markup(f"{quantities.label(name)} [%]") for name in HEALTH]
+    heads = ("engine", "state", "about", "recordings", "last", "evidence", *levels)
     rows = [_row(one, links.get(one.name)) for one in ordered(engines)]
     alarmed = any(one.state == ALARM for one in engines)
     figure = health(engines)

@@ -41,9 +41,11 @@ def test_engines_that_call_for_somebody_come_first(lorries: list[Path], tmp_path
     assert table["engine"].tolist() == ["leaks", "once", "mended", "well"]
     assert table["state"].tolist() == ["alarm", "last recording shows something", "was an alarm, is gone",
                                        "no change but wear"]  # fmt: skip
+    assert table["about"][0] == "boost_leak, 20.00 ± 0.30 mm² on 2026-07-01, there since 2026-05-01"
+    assert table["about"][1] == "boost_leak, 20.00 ± 0.30 mm²"
     assert table["size"][0] == 20e-6 and table["size_std"][0] == 0.3e-6 and table["alarm_on"][0][:10] == "2026-07-01"
-    assert found.sentence.startswith("1 of 4 engines has an alarm: leaks (boost_leak, 20.00 ± 0.30 mm² in the last")
-    assert "alone shows something of 1: once (boost_leak, 20.00 ± 0.30 mm²)" in found.sentence
+    assert found.sentence.startswith("1 of 4 engines has an alarm: leaks (boost_leak); ")
+    assert "alone shows something of 1: once (boost_leak)" in found.sentence
     assert "gone of mended" in found.sentence and "up to 0.08 a year" in found.sentence
     assert found.refused[0][0].endswith("broken") and "broken: not read: " in "\n".join(found.lines())
     assert len(found.plot().axes) == 4 and "<table" in found._repr_html_()
