@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 
 from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.discovery.verdict.curves import Discovery
+from dieseltwin.discovery.verdict.odd_recordings import rows_of_each
 from dieseltwin.discovery.verdict.when import moments
 from dieseltwin.report import quantities, style
 from dieseltwin.report.circumstance_words import shown_day
@@ -168,12 +169,12 @@ def discovery_series(found: Discovery) -> Series:
 
 def _begins(found: Discovery) -> list[Mark]:
     """Where each of several recordings begins on the axis on which they follow each other; none on one."""
-    time_s, row, marks = found.curves.time_s, 0, []
-    for judged in found.document.recordings:
-        if row < time_s.size:
-            marks.append(Mark(f"{shown_day(judged.date)} ({judged.path})", float(time_s[row])))
-            row = int(np.searchsorted(time_s, time_s[row] + judged.duration_s + 0.5))  # a second apart
-    return marks
+    time_s, recordings = found.curves.time_s, found.document.recordings
+    if not recordings:
+        return []
+    begins = (rows.start for rows in rows_of_each(time_s, recordings))
+    return [Mark(f"{shown_day(one.date)} ({one.path})", float(time_s[row]))
+            for one, row in zip(recordings, begins, strict=True) if row < time_s.size]  # fmt: skip
 
 
 def results_series(results: Results) -> Series | None:
