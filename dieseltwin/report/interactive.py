@@ -81,6 +81,11 @@ class Mark:
     at: float
     until: float | None = None
 
+    @property
+    def shaded(self) -> bool:
+        """Whether it is a band."""
+        return self.until is not None
+
 
 @dataclass(frozen=True)
 class Series:
@@ -173,8 +178,8 @@ def _begins(found: Discovery) -> list[Mark]:
     if not recordings:
         return []
     begins = (rows.start for rows in rows_of_each(time_s, recordings))
-    return [Mark(f"{shown_day(one.date)} ({one.path})", float(time_s[row]))
-            for one, row in zip(recordings, begins, strict=True) if row < time_s.size]  # fmt: skip
+    return [Mark(f"{'' if r else 'the beginnings of '}{shown_day(one.date)} ({one.path})", float(time_s[row]))
+            for r, (one, row) in enumerate(zip(recordings, begins, strict=True)) if row < time_s.size]  # fmt: skip
 
 
 def results_series(results: Results) -> Series | None:

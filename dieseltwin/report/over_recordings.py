@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from datetime import UTC, datetime, timedelta
+from datetime import datetime
 
 import pandas as pd
 from markupsafe import Markup
@@ -98,9 +98,9 @@ def _size(name: str, recordings: Sequence[JudgedRecording]) -> Trend:
     return Trend(title, [factor * size.value for size in sizes], stds, 0.0)
 
 
-def _dates(recordings: Sequence[JudgedRecording]) -> list[datetime]:
-    """Dates of the recordings; a day apart where they have none."""
+def _dates(recordings: Sequence[JudgedRecording]) -> list[datetime] | None:
+    """Dates of the recordings; None where they have none."""
     try:
         return [datetime.fromisoformat(item.date) for item in recordings]
     except ValueError:
-        return [datetime(2000, 1, 1, tzinfo=UTC) + timedelta(days=k) for k in range(len(recordings))]
+        return None

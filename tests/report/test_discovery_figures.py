@@ -206,13 +206,19 @@ def test_several_recordings_have_a_table_their_beginnings_and_one_word_for_when(
     apart = np.concatenate([time_s[:size], time_s[size:] + 1.0])  # as recordings follow each other
     found = replace(leak, document=document, curves=replace(leak.curves, time_s=apart))
     assert [(mark.words, mark.at) for mark in discovery_series(found).marks] == [
-        ("2026-01-15 (2026-01-15.csv)", apart[0]), ("2026-03-29 (2026-03-29.csv)", apart[size])]  # fmt: skip
+        ("the beginnings of 2026-01-15 (2026-01-15.csv)", apart[0]),
+        ("2026-03-29 (2026-03-29.csv)", apart[size]),
+    ]
     (table,) = over_recordings.tables(found)
     assert [row[:2] for row in table.rows] == [("2026-01-15", "2026-01-15.csv"), ("2026-03-29", "2026-03-29.csv")]
     assert table.rows[1][4] == "−5" and table.rows[1][5] == "20.0 ± 1.0 mm²"
     shown = findings.findings(document)
     assert shown is not None and shown.rows[0][5] == "has grown to this size since 2026-01-15"
     assert "where it has grown to this size since 2026-01-15" in sentence(document)
+    undated = [one.model_copy(update={"date": f"recording {k}"}) for k, one in enumerate(document.recordings, 1)]
+    without_days = document.model_copy(update={"recordings": tuple(undated)})
+    drawn = over_recordings.trends(replace(found, document=without_days))
+    assert drawn is not None and drawn.figure.axes[0].get_xlabel() == "recording [number]"  # was January 2000
     told = over_recordings.frame(document)
     assert told["size:boost_leak"].tolist() == [0.0, 20e-6] and told["recording"].tolist() == [
         "2026-01-15.csv", "2026-03-29.csv"]  # fmt: skip
