@@ -24,7 +24,6 @@ from dieseltwin.discovery.verdict.checks import misfit_of
 from dieseltwin.discovery.verdict.curves import Discovery
 from dieseltwin.discovery.verdict.document import LEFT_OVER, Reference, fit_doubts, with_warnings
 from dieseltwin.discovery.verdict.left_out import left_out_notes
-from dieseltwin.discovery.verdict.odd_recordings import odd_recordings
 from dieseltwin.discovery.verdict.over_recordings import unseen_bias
 from dieseltwin.discovery.verdict.unseen import HealthBias
 from dieseltwin.engine import EngineParameters
@@ -184,8 +183,7 @@ def _with_doubts(
         for note in recording.notes
     )
     left_out = result.document.left_out
-    doubts = [*more, *read, *fit_doubts(result.document), *odd_recordings(result), *loud_channels(result),
-              *left_out_notes(left_out)]  # fmt: skip
+    doubts = [*more, *read, *fit_doubts(result.document), *loud_channels(result), *left_out_notes(left_out)]
     if found.unsettled and result.document.mismatch:
         leads = " and ".join(" + ".join(names) for names in dict.fromkeys(found.unsettled))
         doubts.append(Note(f"more than one explanation: {leads} lead in turns, each with the likelihood about the "

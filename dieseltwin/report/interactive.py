@@ -18,7 +18,6 @@ from matplotlib.figure import Figure
 
 from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.discovery.verdict.curves import Discovery
-from dieseltwin.discovery.verdict.odd_recordings import rows_of_each
 from dieseltwin.discovery.verdict.when import moments
 from dieseltwin.report import quantities, style
 from dieseltwin.report.circumstance_words import shown_day
@@ -174,12 +173,13 @@ def discovery_series(found: Discovery) -> Series:
 
 def _begins(found: Discovery) -> list[Mark]:
     """Where each of several recordings begins on the axis on which they follow each other; none on one."""
-    time_s, recordings = found.curves.time_s, found.document.recordings
-    if not recordings:
-        return []
-    begins = (rows.start for rows in rows_of_each(time_s, recordings))
-    return [Mark(f"{'' if r else 'the beginnings of '}{shown_day(one.date)} ({one.path})", float(time_s[row]))
-            for r, (one, row) in enumerate(zip(recordings, begins, strict=True)) if row < time_s.size]  # fmt: skip
+    time_s, row, marks = found.curves.time_s, 0, []
+    for one in found.document.recordings:
+        if row < time_s.size:
+            words = f"{'' if marks else 'the beginnings of '}{shown_day(one.date)} ({one.path})"
+            marks.append(Mark(words, float(time_s[row])))
+            row = int(np.searchsorted(time_s, time_s[row] + one.duration_s + 0.5))  # they are a second apart
+    return marks
 
 
 def results_series(results: Results) -> Series | None:
