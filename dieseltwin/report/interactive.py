@@ -173,7 +173,8 @@ def discovery_series(found: Discovery) -> Series:
 
 def _begins(found: Discovery) -> list[Mark]:
     """Where each of several recordings begins on the axis on which they follow each other; none on one."""
-    time_s, row, marks = found.curves.time_s, 0, []
+    marks: list[Mark] = []
+    time_s, row = found.curves.time_s, 0
     for one in found.document.recordings:
         if row < time_s.size:
             words = f"{'' if marks else 'the beginnings of '}{shown_day(one.date)} ({one.path})"
