@@ -49,8 +49,8 @@ def _named_already(found: Search) -> float:
 
     What there is of a misfit has a name then, and a term must be ahead of it as of a name of interest: half a
     tolerance of back pressure, 29, was "none of these, in the reading T_em", which explained 27. Whether the name is
-    beyond chance makes no difference: an EGR actuator 2 ms late, 17.0 where 18 is an alarm, was "W_egr behind a lag of
-    2.3 ms", 29, in six healthy recordings, and p_im 0.16 kPa off, 8.7, "reading + 0.0015 of its mean", 18.03, in one.
+    beyond chance makes no difference: p_im 0.25 kPa off, a quarter of what is of interest, 17, was "reading + 0.0015 of
+    its mean", whose linear score was 18.03 where 18 is an alarm, in a healthy recording.
     """
     lead = found.singles[0]
     return 0.0 if found.of_interest(lead) else found.gain(lead) + found.settings.law_gain
