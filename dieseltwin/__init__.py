@@ -24,6 +24,7 @@ if TYPE_CHECKING:  # for type checkers and editors; at run time `__getattr__` fe
     from dieseltwin.api.discovery import discover as discover
     from dieseltwin.api.engines import engine as engine
     from dieseltwin.api.export import export as export
+    from dieseltwin.api.fleet import fleet as fleet
     from dieseltwin.api.histories import history as history
     from dieseltwin.api.identification import Setup as Setup
     from dieseltwin.api.identification import identify as identify
@@ -43,6 +44,7 @@ _ROOMS = {
     "dataset": "reading",
     "discover": "discovery",
     "export": "export",
+    "fleet": "fleet",
     "history": "histories",
     "identify": "identification",
     "imply": "points",
@@ -54,8 +56,8 @@ _ROOMS = {
 }
 
 __all__ = [
-    "Setup", "__version__", "calibrate", "channels", "dataset", "discover", "engine", "export", "history", "identify",
-    "imply", "learn", "read", "show_versions", "simulate", "watch",
+    "Setup", "__version__", "calibrate", "channels", "dataset", "discover", "engine", "export", "fleet", "history",
+    "identify", "imply", "learn", "read", "show_versions", "simulate", "watch",
 ]  # fmt: skip
 
 

@@ -309,7 +309,7 @@ def show(batch: Batch, asked: Asked, found: Collection[str], refused: Mapping[st
     for name, why in left.items():
         display.say(f"{name}: left: {why}")
     for name, error in new.items():
-        display.say(f"{name}: not added: {error}")
+        display.say(f"{name}: not added: {str(error).removeprefix(f'{name}: ')}")
     if before := len(asked.before) + len(refused) - len(new):
         display.say(f"refused before: {before} ({asked.path})")
     display.say(batch.sentence)

@@ -49,6 +49,7 @@ from dieseltwin.settings.params import params_sha256
 from dieseltwin.version import __version__
 
 if TYPE_CHECKING:
+    import pandas as pd
     from matplotlib.figure import Figure
 
 ENGINE_FILE = "engine.yaml"
@@ -97,15 +98,24 @@ class DrivingDiscovered(Discovered):
         return in_words(self.document)
 
     def plot(self, name: str | None = None) -> Figure:
-        """`candidates`, `evidence_time`, `law`, `health`, `minimum_detectable` or `score`."""
-        from dieseltwin.report import discovery_figures
+        """`candidates`, `evidence_time`, `law`, `health`, `minimum_detectable` or `score`; of several recordings also
+        `over_recordings`."""
+        from dieseltwin.report import discovery_figures, over_recordings
 
         drawings = {
             "candidates": discovery_figures.candidates, "evidence_time": discovery_figures.evidence_time,
             "law": discovery_figures.law_curves, "health": discovery_figures.health,
             "minimum_detectable": discovery_figures.minimum_detectable, "score": discovery_figures.score,
+            "over_recordings": over_recordings.trends,
         }  # fmt: skip
         return drawn(self.found, drawings, name)
+
+    def by_recording(self) -> pd.DataFrame:
+        """One row for each of several recordings, SI units: date, ambient, health, health since the reference, and the
+        size of each effect, with their standard deviations; none of one recording."""
+        from dieseltwin.report.over_recordings import frame
+
+        return frame(self.document)
 
     def _details(self) -> Mapping[str, Any]:
         return details_of(self.found, self.question.asked, list(self.question.notes))

@@ -85,7 +85,7 @@ class Watched(Result):
     def lines(self) -> list[str]:
         told = [f"{name}: added, {said} by itself" for name, said in zip(self.added, self.verdicts, strict=True)]
         told += [f"{name}: was there already" for name in self.known]
-        told += [f"{name}: not added: {why}" for name, why in self.refused]
+        told += [f"{name}: not added: {why.removeprefix(f'{name}: ')}" for name, why in self.refused]
         if self.dated_by_file:
             told.append("note: dated by the file's last change, which copying may have moved: "
                         f"{listed(self.dated_by_file)}; where that isn't the day, take it out (`dieseltwin watch "
@@ -119,7 +119,12 @@ def remove(folder: str | Path, recording: str | Path, reason: str) -> Watched:
     store = History(folder)
     if not reason.strip():
         raise InputError("--reason", "no word", "why the recording shouldn't count", "say it: it stands on the page")
-    store.take_out(_one(recording, store.entries(), "in the history").sha256, " ".join(reason.split()))
+    entries = store.entries()
+    out = [taken for taken in store.taken_out() if _meant(recording, [taken.entry])]
+    if out and not _meant(recording, entries):
+        raise InputError(str(recording), f"what is taken out already ({out[0]})", "a recording of the history",
+                         "let it count again with `dieseltwin watch restore`, or leave it as it is")  # fmt: skip
+    store.take_out(_one(recording, entries, "in the history").sha256, " ".join(reason.split()))
     return history(folder)
 
 
@@ -132,8 +137,8 @@ def restore(folder: str | Path, recording: str | Path) -> Watched:
     return history(folder)
 
 
-def _one(recording: str | Path, entries: Sequence[Entry], where: str) -> Entry:
-    """The one entry that a name, a date, the beginning of a hash or a file stands for."""
+def _meant(recording: str | Path, entries: Sequence[Entry]) -> list[Entry]:
+    """The entries that a name or its beginning, a date, the beginning of a hash or a file stands for."""
     text = str(recording)
     sha256 = file_sha256(Path(text)) if Path(text).is_file() else ""
     ways: list[Callable[[Entry], bool]] = [
@@ -141,8 +146,14 @@ def _one(recording: str | Path, entries: Sequence[Entry], where: str) -> Entry:
         lambda entry: entry.path == Path(text).name,
         lambda entry: len(text) >= SHORTEST_HASH and entry.sha256.startswith(text.lower()),
         lambda entry: entry.date[:10] == text,
+        lambda entry: bool(text) and entry.path.startswith(text),
     ]
-    found = next((some for way in ways if (some := [entry for entry in entries if way(entry)])), [])
+    return next((some for way in ways if (some := [entry for entry in entries if way(entry)])), [])
+
+
+def _one(recording: str | Path, entries: Sequence[Entry], where: str) -> Entry:
+    """The one entry that is meant."""
+    text, found = str(recording), _meant(recording, entries)
     if len(found) == 1:
         return found[0]
     shown = listed([f"{e.path} ({e.date[:10]}, {e.sha256[:SHORTEST_HASH]})" for e in found or entries]) or "none"
@@ -166,4 +177,4 @@ def as_it_stands(store: History, settings: WatchConfig | None) -> Watched:
 
 def _course(entries: Sequence[Entry], settings: WatchConfig) -> Course:
     return course([entry.scores for entry in entries], [entry.moment for entry in entries], settings,
-                  [entry.named for entry in entries])  # fmt: skip
+                  [entry.shown for entry in entries])  # fmt: skip

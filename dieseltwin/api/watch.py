@@ -14,7 +14,7 @@ from dieseltwin.api.histories import Watched, as_it_stands
 from dieseltwin.api.reading import Channels, several
 from dieseltwin.errors import InputError
 from dieseltwin.learning.files import LearnedEngine, load_learned
-from dieseltwin.learning.history import AND, HEALTHY, Entry, History
+from dieseltwin.learning.history import AND, HEALTHY, OR, Entry, History
 from dieseltwin.learning.sketches import sketch
 from dieseltwin.paths import file_sha256
 from dieseltwin.recordings.dates import MODIFIED, Dated, dated
@@ -155,6 +155,8 @@ def _entry(found: DrivingDiscovered, day: Dated, sketched: str) -> Entry:
         hours=recording.running_s / 3600.0,
         p_amb_pa=recording.p_amb_pa, t_amb_k=recording.t_amb_k, health=seen.health,
         health_covariance=seen.health_covariance, since=seen.since, since_std=seen.since_std, scores=seen.scores,
-        verdict=AND.join(effect.name for effect in document.effects) or HEALTHY, sentence=found.sentence,
+        verdict=AND.join(OR.join(effect.names) for effect in document.effects) or HEALTHY, sentence=found.sentence,
         rows_sha256=recording.rows_sha256, rows_sketch=sketched,
+        sizes={effect.name: (effect.magnitude, effect.std) for effect in document.effects
+               if effect.magnitude is not None and effect.std is not None},
     )  # fmt: skip

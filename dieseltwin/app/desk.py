@@ -6,6 +6,7 @@ import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -41,7 +42,7 @@ STATUS_WORDS = {
     "interrupted": "interrupted",
 }  # fmt: skip
 KIND_WORDS = {"discover": "what is left out", "identify": "health parameters", "learn": "learned engine",
-              "watch": "added to the history"}
+              "watch": "added to the history", "history": "mended history"}
 
 
 @dataclass(frozen=True)
@@ -146,15 +147,23 @@ class Desk:
                 choices.append((kept.id, f"{kept.name} ({kept.origin})"))
         return choices
 
-    def adopt_engine(self, job: Job, origin: str, name: str) -> KeptEngine | None:
-        """Keep the engine that a job made; None where it made none."""
+    def engine_made(self, job: Job) -> tuple[Path, dict[str, Path]] | None:
+        """The engine file that a job made, and the files that belong to it by their names here; None without one."""
         result = self.store.job_folder(job.id) / RESULT
         source = next((result / file for file in REPAIRED if (result / file).is_file()), None)
         if source is None:
             return None
         beside = {stored: source.with_name(source.stem + ending) for ending, stored in BESIDE.items()}
         beside[BESIDE[".parquet"]] = result / BESIDE[".parquet"]
-        files = {stored: path.read_bytes() for stored, path in beside.items() if path.is_file()}
+        return source, {stored: path for stored, path in beside.items() if path.is_file()}
+
+    def adopt_engine(self, job: Job, origin: str, name: str) -> KeptEngine | None:
+        """Keep the engine that a job made; None where it made none."""
+        made = self.engine_made(job)
+        if made is None:
+            return None
+        source, beside = made
+        files = {stored: path.read_bytes() for stored, path in beside.items()}
         return self.keep_engine(name, origin, source.read_bytes(), files, job.id)
 
     def keep_engine(self, name: str, origin: str, content: bytes, beside: Mapping[str, bytes],

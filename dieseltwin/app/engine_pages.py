@@ -14,11 +14,11 @@ from dieseltwin.app.desk import SHIPPED, Desk, desk_of, see
 from dieseltwin.app.history import Past, alarms_of, history_of, trends_of
 from dieseltwin.app.kept import BESIDE, DETAILS, ENGINE, HISTORY_PAGE, WATCHED, KeptEngine, content_of
 from dieseltwin.app.security import REPORT_POLICY
-from dieseltwin.app.workplace import MEGABYTE, shown_name
+from dieseltwin.app.workplace import MEGABYTE, MOST_RECORDINGS, shown_name
 
 router = APIRouter()
 ENGINE_MB, BESIDE_MB = 2, 100
-MOST_RECORDINGS = 20
+MOST_LETTERS = 200  # of a reason or a title
 
 
 @router.get("/engines")
@@ -31,7 +31,8 @@ def _page(desk: Desk, status: int = 200, error: str = "") -> Response:
         (key, words, None, history_of(desk, key)) for key, words in SHIPPED.items()
     ]
     rows += [(kept.id, kept.name, kept, history_of(desk, kept.id)) for kept in desk.store.engines()]
-    shown = [{"key": key, "name": name, "kept": kept, "count": len(past), "alarms": alarms_of(past),
+    shown = [{"key": key, "name": name, "kept": kept, "count": len(past),
+              "alarms": len(alarms_of(past)) + bool((_watched(desk, kept) or {}).get("alarm")),
               "check": None if kept is None else desk.short(kept.check)} for key, name, kept, past in rows]  # fmt: skip
     usable = [kept for kept in desk.store.recordings() if desk.store.channels(kept.id) is not None]
     return desk.page("engines.html.j2", status, tab="engines", engines=shown, recordings=usable,
@@ -93,7 +94,7 @@ def show(request: Request, key: str) -> Response:
 
 
 def _watched(desk: Desk, kept: KeptEngine | None) -> dict[str, Any] | None:
-    """What the history of an engine says, and whether it is an alarm; None without a history."""
+    """What the history of an engine says, and whether it calls for a look; None without a history."""
     return None if kept is None else content_of(desk.store.engine_folder(kept.id) / WATCHED)
 
 
@@ -105,6 +106,29 @@ def watched_page(request: Request, key: str) -> Response:
     if not path.is_file():
         return desk.refused(404, "This engine has no history yet.", f"/engines/{key}")
     return FileResponse(path, media_type="text/html", headers={"Content-Security-Policy": REPORT_POLICY})
+
+
+@router.post("/engines/{key}/history")
+async def mend_history(request: Request, key: str) -> Response:
+    """Take a recording out of the history with a reason, or let it count again without one."""
+    desk = desk_of(request)
+    kept = desk.engine(key)
+    form = await request.form(max_files=0, max_fields=5)
+    which, reason = str(form.get("recording", "")), form.get("reason")
+    watched = _watched(desk, kept) or {}
+    there = watched.get("taken_out" if reason is None else "recordings", [])
+    found = next((item for item in there if item["sha256"] == which), None)
+    if found is None:
+        return desk.refused(422, "Choose a recording of the history.", f"/engines/{key}")
+    options = {"recording": which}
+    if reason is not None:
+        options["reason"] = " ".join(str(reason).split())[:MOST_LETTERS]
+        if not options["reason"]:
+            return desk.refused(422, "Say why it shouldn't count: the reason stands on the page.", f"/engines/{key}")
+    title = f"{found['words'].partition(',')[0]} {'counts again' if reason is None else 'taken out of the history'}"
+    job = desk.store.new_job("history", title[:MOST_LETTERS], (), kept.id, **options)
+    desk.lanes.put(job)
+    return see(f"/jobs/{job.id}")
 
 
 @router.get("/engines/{key}/part")

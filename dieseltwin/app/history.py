@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from dieseltwin.api.saved import BEYOND, Z_90, Level, Saved, differences
 from dieseltwin.app.desk import Analysis, Desk
+from dieseltwin.settings.names import listed
 
 WIDTH, HEIGHT, MARGIN = 320.0, 120.0, 14.0
 
@@ -55,9 +56,10 @@ def history_of(desk: Desk, engine: str) -> list[Past]:
         if job.engine != engine or job.kind not in ("discover", "identify") or analysis.state.status != "done":
             continue
         verdict = desk.verdict(job)
-        kept = desk.store.recording(job.recordings[0])
         if verdict is not None:
-            found.append(Past(analysis, verdict, "a recording that was taken away" if kept is None else kept.name))
+            kept = [desk.store.recording(key) for key in job.recordings]
+            names = ["a recording that was taken away" if one is None else one.name for one in kept]
+            found.append(Past(analysis, verdict, listed(names)))
     return found
 
 

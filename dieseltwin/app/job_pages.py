@@ -46,7 +46,7 @@ def show(request: Request, key: str) -> Response:
         "job.html.j2", tab="recordings", oob=False, **progress_values(desk, analysis), verdict=desk.verdict(job),
         recordings=[item for item in recordings if item is not None], engine_name=desk.engine_name,
         report=_file_of(desk, job, "report.html") is not None, engine=_file_of(desk, job, "engine.yaml") is not None,
-        archive=_file_of(desk, job, "result.zip") is not None,
+        archive=_file_of(desk, job, "result.zip") is not None, beside=list((desk.engine_made(job) or (None, {}))[1]),
         kept_as=[item for item in desk.store.engines() if item.job == key],
     )  # fmt: skip
 
@@ -120,6 +120,17 @@ def download(request: Request, key: str) -> Response:
     if path is None:
         return desk.refused(404, f"This result has no {label}.", f"/jobs/{key}")
     return FileResponse(path, media_type="application/octet-stream", filename=label)
+
+
+@router.get("/jobs/{key}/beside/{name}")
+def file_beside(request: Request, key: str, name: str) -> Response:
+    """A file that belongs to the engine that was made: without what was learned, its file is refused."""
+    desk = desk_of(request)
+    made = desk.engine_made(desk.job(key))
+    path = None if made is None else made[1].get(name)
+    if path is None:
+        return desk.refused(404, "There is no such file beside this engine.", f"/jobs/{key}")
+    return FileResponse(path, media_type="application/octet-stream", filename=name)
 
 
 def _file_of(desk: Desk, job: Job, name: str) -> Path | None:

@@ -28,9 +28,9 @@ BESIDE = {
 }  # fmt: skip
 """Ending of a file that belongs to an engine file -> its name here."""
 
-Kind = Literal["channels", "check", "engine", "discover", "identify", "learn", "watch"]
+Kind = Literal["channels", "check", "engine", "discover", "identify", "learn", "watch", "history"]
 Status = Literal["waiting", "running", "done", "failed", "stopped", "interrupted"]
-ANALYSES = ("discover", "identify", "learn", "watch")
+ANALYSES = ("discover", "identify", "learn", "watch", "history")
 ACTIVE = ("waiting", "running")
 
 

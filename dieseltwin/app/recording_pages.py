@@ -23,7 +23,7 @@ from dieseltwin.app.mapping import (
     whole_number,
     write_content,
 )
-from dieseltwin.app.workplace import MEGABYTE, new_id, shown_name
+from dieseltwin.app.workplace import MEGABYTE, MOST_RECORDINGS, new_id, shown_name
 from dieseltwin.errors import InputError
 from dieseltwin.settings.params import default_params_path
 
@@ -36,9 +36,32 @@ DATABASE_MB = 20
 
 @router.get("/")
 def home(request: Request) -> Response:
+    return _home(desk_of(request))
+
+
+def _home(desk: Desk, status: int = 200, error: str = "") -> Response:
+    recordings = desk.store.recordings()
+    readable = [kept for kept in recordings if desk.store.channels(kept.id) is not None]
+    return desk.page("home.html.j2", status, tab="recordings", recordings=recordings, analyses=desk.analyses(),
+                     readable=readable, engines=desk.engine_choices(), engine_name=desk.engine_name,
+                     error=error)  # fmt: skip
+
+
+@router.post("/recordings/ask-together")
+async def ask_together(request: Request) -> Response:
+    """What the twin leaves out of several recordings of one engine, in one verdict."""
     desk = desk_of(request)
-    return desk.page("home.html.j2", tab="recordings", recordings=desk.store.recordings(), analyses=desk.analyses(),
-                     engine_name=desk.engine_name)  # fmt: skip
+    form = await sent_form(request, 0)
+    chosen = tuple(dict.fromkeys(str(key) for key in form.getlist("together")
+                                 if desk.store.recording(str(key)) is not None))
+    engine = str(form.get("engine", ""))
+    if not 2 <= len(chosen) <= MOST_RECORDINGS:
+        return _home(desk, 422, f"Choose two to {MOST_RECORDINGS} recordings of one engine.")
+    if engine not in dict(desk.engine_choices()):
+        return _home(desk, 422, "Choose an engine of the list.")
+    job = desk.store.new_job("discover", f"What is left out of {len(chosen)} recordings", chosen, engine)
+    desk.lanes.put(job)
+    return see(f"/jobs/{job.id}")
 
 
 async def sent_form(request: Request, files: int) -> FormData:

@@ -15,6 +15,7 @@ import zipfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from dieseltwin.app.kept import (
     ARCHIVE,
@@ -42,6 +43,10 @@ from dieseltwin.atomic import atomic_path, write_json, write_text
 from dieseltwin.errors import DieselTwinError, InputError, one_line
 from dieseltwin.notes import counted
 from dieseltwin.sealed import sealed_json, sealed_text
+
+if TYPE_CHECKING:
+    from dieseltwin.api.histories import Watched
+    from dieseltwin.recordings.named_columns import Imported
 
 MOST_LINES = 200  # of progress
 
@@ -131,12 +136,15 @@ def _discover(worker: Worker) -> str:
     from dieseltwin.api.discovery import ask
     from dieseltwin.api.driving import DrivingQuestion
 
-    kept = worker.recording()
-    worker.stage("Reading the recording")
-    question = ask(worker.file_of(kept), worker.engine(), channels=worker.map_of(kept))
-    if isinstance(question, DrivingQuestion):  # people forward the report: it names their file, not the server's
-        question = replace(question, recording=replace(question.recording, path=Path(kept.name)))
-    worker.stage("What this recording could show")
+    worker.stage(f"Reading {counted(len(worker.job.recordings), 'recording')}")
+    if len(worker.job.recordings) > 1:
+        question = ask(_read_as_named(worker), worker.engine())
+    else:
+        kept = worker.recording()
+        question = ask(worker.file_of(kept), worker.engine(), channels=worker.map_of(kept))
+        if isinstance(question, DrivingQuestion):  # people forward the report: it names their file, not the server's
+            question = replace(question, recording=replace(question.recording, path=Path(kept.name)))
+    worker.stage("What could be seen at all")
     for line in question.preview():
         worker.say(line)
     worker.stage("Searching for what the twin leaves out")
@@ -144,6 +152,14 @@ def _discover(worker: Worker) -> str:
     worker.stage("Writing the report")
     found.save(worker.result())
     return found.sentence
+
+
+def _read_as_named(worker: Worker) -> list[Imported]:
+    """Recordings by their channel maps, under people's names, which may say their dates; those dropped first first."""
+    from dieseltwin.recordings.named_columns import import_columns
+
+    chosen = sorted(map(worker.kept, worker.job.recordings), key=lambda kept: (kept.added, kept.name))
+    return [replace(import_columns(worker.file_of(kept), worker.map_of(kept)), path=Path(kept.name)) for kept in chosen]
 
 
 def _identify(worker: Worker) -> str:
@@ -204,10 +220,29 @@ def _watch(worker: Worker) -> str:
         raise DieselTwinError(found.refused[0][1].replace(str(named), kept.name))
     for line in found.lines():
         worker.say(line.replace(str(named), kept.name))
+    return _keep_history(worker, found)
+
+
+def _history(worker: Worker) -> str:
+    """Take a recording out of the history of an engine, or let it count again."""
+    from dieseltwin.api.histories import remove, restore
+
+    folder = worker.store.engine_folder(worker.job.engine) / HISTORY
+    which, reason = str(worker.job.options["recording"]), worker.job.options.get("reason")
+    return _keep_history(worker, restore(folder, which) if reason is None else remove(folder, which, str(reason)))
+
+
+def _keep_history(worker: Worker, found: Watched) -> str:
+    """Write what a history says beside its engine; its sentence."""
     worker.stage("Writing the history")
+    folder = worker.store.engine_folder(worker.job.engine)
     found.save(worker.result())
     write_text(folder / HISTORY_PAGE, (worker.result() / HISTORY_PAGE).read_text(encoding="utf-8"))
-    write_json(folder / WATCHED, sealed_json({"sentence": found.sentence, "alarm": found.course.alarm is not None}))
+    there = [{"sha256": e.sha256, "words": f"{e.path}, {e.date[:10]}, {e.verdict}"} for e in found.entries]
+    out = [{"sha256": one.entry.sha256, "words": str(one)} for one in found.taken_out]
+    calls = found.course.alarm is not None or bool(found.entries and found.entries[-1].shown.names)
+    said = {"sentence": found.sentence, "alarm": calls, "recordings": there, "taken_out": out}
+    write_json(folder / WATCHED, sealed_json(said))
     return found.sentence
 
 
@@ -232,7 +267,7 @@ def _engine(worker: Worker) -> str:
 
 _KINDS: dict[str, Callable[[Worker], str]] = {
     "channels": _look, "check": _check, "discover": _discover, "identify": _identify, "learn": _learn,
-    "engine": _engine, "watch": _watch,
+    "engine": _engine, "watch": _watch, "history": _history,
 }  # fmt: skip
 
 

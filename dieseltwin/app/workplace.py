@@ -14,6 +14,7 @@ from typing import IO
 from dieseltwin.errors import InputError
 
 MEGABYTE = 1_000_000
+MOST_RECORDINGS = 20  # that one analysis takes
 GIGABYTE = 1_000_000_000
 NEW_ID = 8  # random bytes: 2**64 names can't be guessed
 _ID = re.compile(r"[0-9a-f]{16}")

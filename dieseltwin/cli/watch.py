@@ -108,6 +108,32 @@ def restore_command(recording: Which, history: HistoryFolder) -> None:
     say(restore(history, recording).lines())
 
 
+@watch_app.command("fleet")
+def fleet_command(
+    histories: Annotated[list[Path], typer.Argument(metavar="HISTORY...", help="Folders of engines' histories.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Folder for the pages and the table; none without it.")
+    ] = None,
+    alarms_per_year: Rate = None,
+    params: ParamsFile = None,
+    profile: Profile = "quick",
+) -> None:
+    """Show the histories of many engines: which has an alarm, and with --out a page of all and one of each."""
+    if out is not None:
+        check_folder(out)
+    from dieseltwin.api.fleet import fleet
+
+    found = fleet(histories, settings=_settings(params, profile, alarms_per_year))
+    if not found.engines:
+        raise Refused(found.refused[0][1])
+    say(found.lines())
+    if out is not None:
+        found.save(out)
+        say([f"results: {out}"])
+    if found.refused:
+        raise typer.Exit(InputError.exit_code)
+
+
 def _settings(params: Path | None, profile: str, alarms_per_year: float | None) -> WatchConfig:
     """Section `watch` of the settings, with another rate of false alarms where one is given."""
     from dieseltwin.settings.params import load_params

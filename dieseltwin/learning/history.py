@@ -11,9 +11,9 @@ import hashlib
 import json
 import os
 import sqlite3
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager, suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ import numpy as np
 
 from dieseltwin.atomic import check_folder
 from dieseltwin.errors import InputError
-from dieseltwin.learning.alarm import Array, Score
+from dieseltwin.learning.alarm import Array, Score, Shown
 from dieseltwin.learning.sketches import shared
 from dieseltwin.recordings.shared_rows import MOST_SHARED
 from dieseltwin.version import __version__
@@ -45,8 +45,8 @@ _TAKEN_OUT = (  # made with the first recording that is taken out: most historie
 )
 
 
-HEALTHY, AND = "healthy", " + "
-"""A verdict without an effect, and what stands between those of one."""
+HEALTHY, AND, OR = "healthy", " + ", " or "
+"""A verdict without an effect, what stands between those of one, and between names that can't be told apart."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +63,8 @@ class Entry:
         verdict: names of what the recording shows by itself, "healthy" without any; sentence: the same in words.
         rows_sha256: of what is in the file, "" in histories from before it was kept.
         rows_sketch: a sample of its rows, by which shared driving is noticed (`sketches.sketch`); "" likewise.
+        sizes: size and standard deviation of each effect of the verdict, refitted beside everything else [unit of the
+            effect]; none in histories from before they were kept. Scores are linear, which a strong fault bends.
     """
 
     sha256: str
@@ -81,11 +83,13 @@ class Entry:
     sentence: str
     rows_sha256: str = ""
     rows_sketch: str = ""
+    sizes: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
-    def named(self) -> tuple[str, ...]:
+    def shown(self) -> Shown:
         """What the recording shows by itself; nothing where it is healthy."""
-        return () if self.verdict == HEALTHY else tuple(self.verdict.split(AND))
+        names = () if self.verdict == HEALTHY else tuple(self.verdict.replace(AND, OR).split(OR))
+        return Shown(names, self.sizes)
 
     @property
     def moment(self) -> datetime:

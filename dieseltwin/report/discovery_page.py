@@ -49,7 +49,8 @@ def discovery_sections(found: Discovery, drawn: Drawn = drawn_here) -> list[Sect
     sections = [
         Section("readings-over-time", "Readings over time", series=replace(series, pictured=figures["readings"])),
         Section("doubts", "What is doubtful", tables=(findings.doubts(found.document),)),
-        Section("over-recordings", "The recordings", kept_of(figures, "trends")),
+        Section("over-recordings", "The recordings", kept_of(figures, "trends"),
+                tables=over_recordings.tables(found)),
         Section("health-parameters", "Health parameters", kept_of(figures, "health")),
         Section("law-of-it", "Law", kept_of(figures, "law")),
         Section("evidence", "Evidence", kept_of(figures, "evidence_time", "evidence_maps")),

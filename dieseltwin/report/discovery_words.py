@@ -216,12 +216,19 @@ def _when_words(document: Discrepancy) -> str:
 
 def _over_recordings(document: Discrepancy) -> str:
     """How what is missing differs between several recordings."""
-    location, days = document.location, [shown_day(item.date) for item in document.recordings]
-    text = f"over {len(days)} recordings ({days[0]} to {days[-1]})"
+    days = [shown_day(item.date) for item in document.recordings]
+    text, words = f"over {len(days)} recordings ({days[0]} to {days[-1]})", over_recordings_words(document)
+    if not words:
+        return text
+    return f"{text} {words}" if words.startswith("since") else f"{text}, where it {words}"
+
+
+def over_recordings_words(document: Discrepancy) -> str:
+    """Since when, or how its size differs, on several recordings; empty where nothing is told."""
+    location = document.location
     if location is not None and location.onset_s is not None:
-        return f"{text} since {clock(location.onset_s)} into that of {location.onset_date}"
-    words = next((e.over_recordings for e in document.effects if e.over_recordings), None)
-    return f"{text}, where it {words}" if words else text
+        return f"since {clock(location.onset_s)} into that of {location.onset_date}"
+    return next((e.over_recordings for e in document.effects if e.over_recordings), "")
 
 
 def _apart_words(document: Discrepancy) -> str:
@@ -241,8 +248,9 @@ def _apart_words(document: Discrepancy) -> str:
         if _may_sit_elsewhere(document):
             parts.append("no law at another site explains as much")
         else:
+            judged = "recordings" if document.recordings else "recording"
             parts.append("no other site comes into question" if unnamed
-                         else "no other effect of the catalogue explains the recording as well")
+                         else f"no other effect of the catalogue explains the {judged} as well")
     return " and ".join(parts)
 
 

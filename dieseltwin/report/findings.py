@@ -14,7 +14,12 @@ from dieseltwin.discovery.verdict.left_out import left_out_words
 from dieseltwin.discovery.verdict.when import when_words
 from dieseltwin.least_squares import Z_90
 from dieseltwin.report import quantities
-from dieseltwin.report.discovery_words import display_unit, magnitude_words, site_words
+from dieseltwin.report.discovery_words import (
+    display_unit,
+    magnitude_words,
+    over_recordings_words,
+    site_words,
+)
 from dieseltwin.report.page import EMPTY, Table
 from dieseltwin.report.visible_words import bias_words
 
@@ -51,6 +56,9 @@ def findings(
              *(("when",) if timed else ()), "can't be told from")  # fmt: skip
     always = "from the start"
     when = always if document.location is None else when_words(document.location)
+    if document.recordings:
+        always = "in all recordings"
+        when = over_recordings_words(document) or always
     rows = []
     for effect in document.effects:
         size, interval = _sizes(effect, unit)

@@ -20,6 +20,7 @@ from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.discovery.verdict.curves import Discovery
 from dieseltwin.discovery.verdict.when import moments
 from dieseltwin.report import quantities, style
+from dieseltwin.report.circumstance_words import shown_day
 from dieseltwin.report.over_time import extremes
 from dieseltwin.report.results import Results
 from dieseltwin.report.segment_axis import WIDTH_IN
@@ -78,6 +79,11 @@ class Mark:
     words: str
     at: float
     until: float | None = None
+
+    @property
+    def shaded(self) -> bool:
+        """Whether it is a band."""
+        return self.until is not None
 
 
 @dataclass(frozen=True)
@@ -161,7 +167,20 @@ def discovery_series(found: Discovery) -> Series:
     curves = found.curves
     before = list(curves.before.T) if found.document.mismatch else None
     panels = repair_panels(curves.time_s, curves.channels, list(curves.measured.T), before, list(curves.after.T))
-    return Series(panels, marks=tuple(Mark(name, curves.start_s + at) for name, at in moments(found.document.location)))
+    marks = (Mark(name, curves.start_s + at) for name, at in moments(found.document.location))
+    return Series(panels, marks=(*marks, *_begins(found)))
+
+
+def _begins(found: Discovery) -> list[Mark]:
+    """Where each of several recordings begins on the axis on which they follow each other; none on one."""
+    marks: list[Mark] = []
+    time_s, row = found.curves.time_s, 0
+    for one in found.document.recordings:
+        if row < time_s.size:
+            words = f"{'' if marks else 'the beginnings of '}{shown_day(one.date)} ({one.path})"
+            marks.append(Mark(words, float(time_s[row])))
+            row = int(np.searchsorted(time_s, time_s[row] + one.duration_s + 0.5))  # they are a second apart
+    return marks
 
 
 def results_series(results: Results) -> Series | None:

@@ -10,6 +10,7 @@ import matplotlib.dates as mdates
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from dieseltwin.least_squares import Z_90
 from dieseltwin.report import style
@@ -39,14 +40,14 @@ class Trend:
 
 @style.styled
 def trend_figure(
-    name: str, title: str, caption: str, trends: Sequence[Trend], dates: Sequence[datetime],
+    name: str, title: str, caption: str, trends: Sequence[Trend], dates: Sequence[datetime] | None,
     alarms: Sequence[datetime] = (),
 ) -> style.ReportFigure | None:  # fmt: skip
     """Small panels, one a quantity, with 90 % intervals; None without a quantity.
 
     Args:
         name, title, caption: of the figure.
-        trends: what is shown; dates: (R,) of the recordings.
+        trends: what is shown; dates: (R,) of the recordings, None where they have none: they are numbered.
         alarms: dates at which an alarm was raised.
     """
     if not trends:
@@ -61,9 +62,9 @@ def trend_figure(
     return style.ReportFigure(name, title, caption, figure)
 
 
-def _panel(axes: Axes, trend: Trend, dates: Sequence[datetime], alarms: Sequence[datetime]) -> None:
+def _panel(axes: Axes, trend: Trend, dates: Sequence[datetime] | None, alarms: Sequence[datetime]) -> None:
     values = np.asarray(trend.values, dtype=np.float64)
-    days = np.asarray(mdates.date2num(dates), dtype=np.float64)
+    days = np.arange(1.0, values.size + 1.0) if dates is None else np.asarray(mdates.date2num(dates), dtype=np.float64)
     for alarm in alarms:
         axes.axvline(float(mdates.date2num(alarm)), color=_ALARM, linewidth=1.2)
     if trend.level is not None:
@@ -74,7 +75,11 @@ def _panel(axes: Axes, trend: Trend, dates: Sequence[datetime], alarms: Sequence
         half = None if trend.std is None else Z_90 * np.asarray(trend.std, dtype=np.float64)
         axes.errorbar(days, values, yerr=half, fmt="o", color=_VALUE, capsize=3, markersize=4)
     axes.set_title(trend.title, fontweight="normal", fontsize=10)
-    locator = mdates.AutoDateLocator(minticks=2, maxticks=5)
-    axes.xaxis.set_major_locator(locator)
-    axes.xaxis.set_major_formatter(mdates.ConciseDateFormatter(locator))
+    if dates is None:
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        axes.set_xlabel("recording [number]")
+    else:
+        locator = mdates.AutoDateLocator(minticks=2, maxticks=5)
+        axes.xaxis.set_major_locator(locator)
+        axes.xaxis.set_major_formatter(mdates.ConciseDateFormatter(locator))
     axes.margins(x=0.06, y=0.12)

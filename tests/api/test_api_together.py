@@ -60,6 +60,10 @@ def test_a_leak_that_began_is_named_with_its_date(year: list[Path], tmp_path: Pa
     assert of_reading.startswith(f"{year[1]}: ")
     found.save(tmp_path)
     assert "From recording to recording" in (tmp_path / "report.html").read_text()
+    by_recording = found.by_recording()
+    assert by_recording["size:boost_leak"].tolist() == [size["value"] for size in sizes]
+    assert by_recording["A_egrmax"].tolist() == [row["health"]["A_egrmax"]["value"] for row in rows]
+    assert len(found.plot("over_recordings").axes) >= 5
 
 
 @pytest.mark.thorough

@@ -7,9 +7,16 @@ import re
 import yaml
 from fastapi.testclient import TestClient
 
-from dieseltwin.app.kept import JobState, Outcome, now, save
+from dieseltwin.api.histories import history
+from dieseltwin.app.desk import Desk
+from dieseltwin.app.kept import JobState, Outcome, Store, now, save
+from dieseltwin.app.worker import Worker, _read_as_named
 from dieseltwin.app.workplace import Workplace
+from dieseltwin.atomic import write_json
+from dieseltwin.learning.history import History
+from dieseltwin.sealed import sealed_json
 from tests.app.conftest import Waiting
+from tests.learning.test_history import entry
 from tests.report import synthetic_discovery
 
 
@@ -58,10 +65,16 @@ def test_a_map_is_mended_and_tried(client: TestClient, recording: str, wait_for:
     assert kept["Ladedruck abs [kPa]"] == {"column": "p_im_pa", "unit": "kPa"}
 
 
+def desk_of(client: TestClient) -> Desk:
+    """The server's own."""
+    found = client.app.state.desk
+    assert isinstance(found, Desk)
+    return found
+
+
 def finished(client: TestClient, key: str, **changes: float) -> str:
     """A discovery that ended: a job of the server's store with a real document in it; returns its id."""
-    desk = client.app.state.desk
-    store = desk.store
+    store = desk_of(client).store
     job = store.new_job("discover", "What is left out of Fahrt 7", (key,))
     document = synthetic_discovery.document()
     health = {name: value.model_copy(update={"value": value.value * changes.get(name, 1.0)})
@@ -89,6 +102,75 @@ def test_verdicts_have_a_history_and_are_compared(client: TestClient, recording:
     assert client.post(f"/jobs/{second}/keep-engine").status_code == 404  # it repaired none
     assert client.get(f"/jobs/{second}/state").headers["hx-refresh"] == "true"
     assert "0123456789abcdef" not in client.post(f"/jobs/{first}/remove").text and first not in client.get("/").text
+
+
+def test_an_engine_that_was_repaired_beside_a_learned_one_comes_with_what_was_learned(
+    client: TestClient, recording: str
+) -> None:
+    job = finished(client, recording.rsplit("/", 1)[-1])
+    result = desk_of(client).store.job_folder(job) / "result"
+    (result / "engine.yaml").write_text("learned: engine.learned.parquet\n", encoding="utf-8")
+    (result / "engine.learned.parquet").write_bytes(b"PAR1")
+    page = client.get(f"/jobs/{job}").text
+    assert f'href="/jobs/{job}/beside/engine.learned.parquet"' in page and "download both" in page
+    assert client.get(f"/jobs/{job}/beside/engine.learned.parquet").content == b"PAR1"
+    assert client.get(f"/jobs/{job}/beside/about.json").status_code == 404
+    assert client.get(f"/jobs/{job}/beside/..%2fabout.json").status_code == 404
+    client.post(f"/jobs/{job}/remove")
+
+
+def test_several_recordings_are_judged_together_under_their_own_names(
+    client: TestClient, recording: str, logger_csv: bytes, wait_for: Waiting, workplace: Workplace
+) -> None:
+    paths = []
+    for name in ("b 2026-03-14.csv", "a 2026-01-02.csv"):
+        files = {"file": (name, logger_csv + b"\n" * len(paths))}
+        paths.append(client.post("/recordings", files=files, follow_redirects=False).headers["location"])
+        wait_for(paths[-1], "map-title")
+    keys = [path.rsplit("/", 1)[-1] for path in paths]
+    home = client.get("/").text
+    assert "Judge several together" in home and all(f'name="together" value="{key}"' in home for key in keys)
+    for wrong in ({"together": keys[:1], "engine": "we2011"}, {"together": keys, "engine": "none"},
+                  {"together": [keys[0], keys[0]], "engine": "we2011"}):  # fmt: skip
+        assert client.post("/recordings/ask-together", data=wrong).status_code == 422
+    answer = client.post("/recordings/ask-together", data={"together": keys[::-1], "engine": "we2011"},
+                         follow_redirects=False)  # fmt: skip
+    path = answer.headers["location"]
+    assert "What is left out of 2 recordings" in client.get(path).text
+    page = wait_for(path, 'role="alert"')
+    assert "b 2026-03-14.csv" in page and "share no driving" in page  # the same rows twice: people's names, in one line
+    job = desk_of(client).store.job(path.rsplit("/", 1)[-1])
+    assert job is not None
+    read = _read_as_named(Worker(Store(workplace), job))
+    assert sorted(str(one.path) for one in read) == ["a 2026-01-02.csv", "b 2026-03-14.csv"]
+
+
+def test_a_recording_is_taken_out_of_a_history_and_counts_again(client: TestClient, wait_for: Waiting) -> None:
+    kept = desk_of(client).keep_engine("lorry 7", "learned", b"V_d: 0.0128\n", {})
+    folder = desk_of(client).store.engine_folder(kept.id)
+    store = History(folder / "history", "e" * 64)
+    for k in range(3):
+        store.add(entry(k))
+    found = history(folder / "history")
+    there = [{"sha256": one.sha256, "words": one.path} for one in found.entries]
+    write_json(folder / "watched.json", sealed_json({"sentence": found.sentence, "alarm": True, "recordings": there,
+                                                     "taken_out": []}))  # fmt: skip
+    page, which = f"/engines/{kept.id}", entry(1).sha256
+    calls = re.search(rf'href="/engines/{kept.id}">.*?</tr>', client.get("/engines").text, re.DOTALL)
+    assert calls is not None and '<span class="tag check">1</span>' in calls.group(0)  # the history's alarm
+    assert "Take it out" in client.get(page).text and "Let it count again" not in client.get(page).text
+    for wrong in ({"recording": which, "reason": "  "}, {"recording": "f" * 64, "reason": "x"}, {"recording": which}):
+        assert client.post(f"{page}/history", data=wrong).status_code == 422
+    data = {"recording": which, "reason": "on <b>lorry 8</b>"}
+    job = client.post(f"{page}/history", data=data, follow_redirects=False).headers["location"]
+    assert "2 recordings" in wait_for(job, "Taken out: 1.csv")
+    text = client.get(page).text
+    assert "Let it count again" in text and "on &lt;b&gt;lorry 8" in text and "<b>lorry 8" not in text
+    assert [one.path for one in store.entries()] == ["0.csv", "2.csv"]
+    job = client.post(f"{page}/history", data={"recording": which}, follow_redirects=False).headers["location"]
+    wait_for(job, "3 recordings")
+    assert "Let it count again" not in client.get(page).text and len(store.entries()) == 3
+    client.post(f"{page}/remove")
 
 
 def test_an_uploaded_engine_is_read_and_can_be_chosen(

@@ -55,7 +55,8 @@ def test_a_recording_that_is_no_good_is_named(tmp_path: Path, capsys: pytest.Cap
     assert main(["watch", "add", str(good), str(tmp_path / "2026-01-02.csv"), "--engine", str(mine), "--history",
                  str(history)]) == 2  # fmt: skip
     said, beside = capsys.readouterr()
-    assert said.count("not added: ") == 2 and "holds no recording" in said and not history.exists()
+    assert said.count("not added: ") == 2 and said.count("2026-01-02.csv") == 1  # not twice in one line
+    assert "holds no recording" in said and not history.exists()
     assert beside.splitlines() == ["1/2 2026-01-01.csv", "2/2 2026-01-02.csv"]
     History(history, "e" * 64).add(entry(0))
     assert main(["watch", "show", "--history", str(history), "--out", str(tmp_path / "out")]) == 0

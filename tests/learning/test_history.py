@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import sqlite3
 import subprocess
@@ -12,13 +13,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dieseltwin.api.histories import remove, restore
 from dieseltwin.errors import InputError
 from dieseltwin.learning.alarm import Alarm, Course, Score
 from dieseltwin.learning.history import FILE_NAME, Entry, History, from_json, to_json
 from dieseltwin.learning.sketches import shared, sketch
 from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.reader import Recording
-from dieseltwin.report.history import sentence
+from dieseltwin.report.history import evidence, page, sentence, table
 from tests.disk import full_beyond
 
 ENGINE = "e" * 64
@@ -215,8 +217,10 @@ def test_an_alarm_says_what_became_of_it() -> None:
     there = replace(alarm, sizes=np.array([0.0, 13e-6, 13e-6, 15e-6]), gone=None)
     both = replace(entries[3], verdict="exhaust_leak + w_c_gain")
     words = sentence([*entries[:3], both], replace(told, alarm=there), 0.02)
-    assert "15.0 ± 1.0 mm² in the last recording" in words and "any more" not in words
+    assert ", about 15.0 ± 1.0 mm² in the last recording" in words and "any more" not in words
     assert "by itself shows exhaust_leak + w_c_gain" in words
+    told_alone = replace(both, sizes={"exhaust_leak": (15e-6, 1e-6)})  # refitted: no longer about
+    assert ", 15.0 ± 1.0 mm² in the last" in sentence([*entries[:3], told_alone], replace(told, alarm=there), 0.02)
 
 
 def test_what_is_taken_out_counts_no_more_is_kept_and_comes_back(tmp_path: Path) -> None:
@@ -245,3 +249,55 @@ def test_what_is_taken_out_counts_no_more_is_kept_and_comes_back(tmp_path: Path)
     connection.close()
     with pytest.raises(InputError, match="taken out, is not as it was written"):
         store.taken_out()
+
+
+def test_a_recording_is_meant_by_the_beginning_of_its_name_and_one_that_is_out_already_is_said(tmp_path: Path) -> None:
+    store = History(tmp_path, ENGINE)
+    for k, name in enumerate(("a_1.csv", "a_2.csv", "b.csv")):
+        store.add(replace(entry(k), path=name))
+    with pytest.raises(InputError, match=r"2 recordings in the history: a_1\.csv"):
+        remove(tmp_path, "a_", "on another lorry")
+    assert [e.path for e in remove(tmp_path, "b", "on another lorry").entries] == ["a_1.csv", "a_2.csv"]
+    with pytest.raises(InputError, match=r"what is taken out already \(b.csv, on .*watch restore"):
+        remove(tmp_path, "b.csv", "once more")
+    assert len(restore(tmp_path, "b").entries) == 3
+
+
+def test_sizes_of_a_verdict_are_kept_shown_and_told(tmp_path: Path) -> None:
+    """The last recording's leak of 14.7 mm2 stood as 8.7 +- 0.5 mm2, its linear estimate, in the sentence."""
+    found = replace(entry(1), verdict="boost_leak or blow_by", sizes={"boost_leak": (14.7e-6, 0.5e-6)})
+    after = from_json(to_json(found))
+    assert after is not None and after.sizes["boost_leak"][0] == 14.7e-6
+    assert after.shown.names == ("boost_leak", "blow_by") and entry(1).shown.names == ()
+    old = json.loads(to_json(entry(1)))
+    del old["sizes"]  # as histories of before hold it
+    without = from_json(json.dumps(old))
+    assert without is not None and without.sizes == {}
+    course = Course(np.zeros(2), 50.0, None)
+    assert table([entry(0), after], course)["size:boost_leak"].tolist()[1] == 14.7e-6
+    said = page([entry(0), after], course, "No alarm.")
+    assert said.title == "No alarm, but the last recording shows something" and said.alarm
+    assert page([after, entry(2)], course, "No alarm.").title == "No change but wear"  # of the last one alone
+    words = sentence([entry(0), after], course, 0.02)
+    assert "shows boost_leak or blow_by, 14.70 ± 0.50 mm², and one recording alone raises no alarm" in words
+    told = said.sections[1].tables[0].rows
+    assert told[0][-1] == "healthy" and told[1][-1] == "boost_leak or blow_by, 14.70 ± 0.50 mm²"
+
+
+def test_the_page_of_an_alarm_shows_its_size_and_no_look_alikes() -> None:
+    entries = [entry(k) for k in range(3)]
+    other = Score("blow_by", "exhaust_mass_balance", "-", 0.01, True, 0.9, 0.01, np.zeros(5))  # 90 deviations
+    entries = [replace(one, scores=(*one.scores, other)) for one in entries]
+    alarm = Alarm(1, "boost_leak", "intake_mass_balance", "m2", 1.0, (), 13e-6, 1e-6, False, entries[1].moment,
+                  entries[0].moment, entries[1].moment, 400.0, np.array([0.0, 13e-6, 15e-6]),
+                  np.full(3, 1e-6))  # fmt: skip
+
+    def titles(course: Course) -> list[str]:
+        figure = evidence(entries, course)
+        assert figure is not None
+        return [axes.get_title("left") for axes in figure.figure.axes if axes.get_visible()]
+
+    course = Course(np.full(3, 400.0), 50.0, alarm)
+    assert titles(course) == ["evidence of a change, log10", "boost leak [mm²]"]
+    assert "blow by [standard deviations]" in titles(replace(course, alarm=replace(alarm, others=("blow_by",))))
+    assert "blow by [standard deviations]" in titles(replace(course, alarm=None))

@@ -14,10 +14,11 @@ from dieseltwin.discovery.discover import loud_channels
 from dieseltwin.discovery.verdict.curves import Discovery
 from dieseltwin.discovery.verdict.document import Discrepancy, with_warnings
 from dieseltwin.notes import Note
-from dieseltwin.report import discovery_figures, discovery_residuals
+from dieseltwin.report import discovery_figures, discovery_residuals, findings, over_recordings
 from dieseltwin.report.discovery_page import build_discovery_report, caution, discovery_sections, of_curves
 from dieseltwin.report.discovery_words import sentence
 from dieseltwin.report.encoding import drawn_in_two
+from dieseltwin.report.interactive import discovery_series
 from dieseltwin.report.style import ReportFigure
 from tests.pages import without_pictures
 
@@ -187,3 +188,38 @@ def test_little_is_enough(leak: Discovery) -> None:
     poor = replace(curves, measured=measured, laws=[], candidates=[], held_out=None, evidence_map={})
     names = {f.name for s in discovery_sections(replace(leak, document=document, curves=poor)) for f in s.figures}
     assert names == {"health", "evidence_time", "residual_time", "score"}
+
+
+def test_several_recordings_have_a_table_their_beginnings_and_one_word_for_when(leak: Discovery) -> None:
+    """A leak that "has grown since 2026-01-15" in the sentence was there "from the start" in the table above."""
+    time_s, size = leak.curves.time_s, leak.curves.time_s.size // 2
+    ends = [(time_s[0], time_s[size - 1]), (time_s[size], time_s[-1])]
+    recordings = [
+        {"path": f"{day}.csv", "sha256": 64 * "0", "duration_s": float(last - first), "date": f"{day}T00:00:00+00:00",
+         "date_from": "file name", "p_amb_pa": 1e5, "t_amb_k": 268.15, "health": synthetic.content()["health"],
+         "magnitudes": {"boost_leak": {"value": value, "std": 1e-6}}}
+        for day, (first, last), value in zip(("2026-01-15", "2026-03-29"), ends, (0.0, 20e-6), strict=True)
+    ]  # fmt: skip
+    effects = [{**synthetic.LEAK, "over_recordings": "has grown to this size since 2026-01-15"}]
+    document = synthetic.document(recordings=recordings, effects=effects,
+                                  location={**synthetic.LOCATION, "onset_date": "2026-01-15"})  # fmt: skip
+    apart = np.concatenate([time_s[:size], time_s[size:] + 1.0])  # as recordings follow each other
+    found = replace(leak, document=document, curves=replace(leak.curves, time_s=apart))
+    assert [(mark.words, mark.at) for mark in discovery_series(found).marks] == [
+        ("the beginnings of 2026-01-15 (2026-01-15.csv)", apart[0]),
+        ("2026-03-29 (2026-03-29.csv)", apart[size]),
+    ]
+    (table,) = over_recordings.tables(found)
+    assert [row[:2] for row in table.rows] == [("2026-01-15", "2026-01-15.csv"), ("2026-03-29", "2026-03-29.csv")]
+    assert table.rows[1][4] == "−5" and table.rows[1][5] == "20.0 ± 1.0 mm²"
+    shown = findings.findings(document)
+    assert shown is not None and shown.rows[0][5] == "has grown to this size since 2026-01-15"
+    assert "where it has grown to this size since 2026-01-15" in sentence(document)
+    undated = [one.model_copy(update={"date": f"recording {k}"}) for k, one in enumerate(document.recordings, 1)]
+    without_days = document.model_copy(update={"recordings": tuple(undated)})
+    drawn = over_recordings.trends(replace(found, document=without_days))
+    assert drawn is not None and drawn.figure.axes[0].get_xlabel() == "recording [number]"  # was January 2000
+    told = over_recordings.frame(document)
+    assert told["size:boost_leak"].tolist() == [0.0, 20e-6] and told["recording"].tolist() == [
+        "2026-01-15.csv", "2026-03-29.csv"]  # fmt: skip
+    assert over_recordings.tables(leak) == () and over_recordings.frame(leak.document).empty

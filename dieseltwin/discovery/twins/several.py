@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import combinations, pairwise
 
 import numpy as np
 
@@ -25,6 +25,9 @@ from dieseltwin.settings.defaults import default_search
 _COLD_SPAN_K = 5.0
 """Spread of the recordings' ambient temperatures from which cold weather can be told from chance [K]: its change over a
 day."""
+
+_MOST_SPANNED = 8
+"""Recordings up to which spans between two of them are asked for: 42 ways then, and as their number squared."""
 
 _PAUSE_S = 1.0  # between recordings on the common time axis
 
@@ -47,7 +50,9 @@ def ways_to_differ(occasions: Sequence[Occasion]) -> dict[str, Array]:
 
     `begins:k`: nothing before recording k; `ends:k`: nothing from recording k on (a repair); `grows:k`: zero up to
     recording k, then proportional to time, 1 at the last; `cold`: zero at the warmest recording, 1 at the coldest,
-    linear in ambient temperature. Some are alike: what two recordings have can have begun as well as grown.
+    linear in ambient temperature; `only:j:k`: in the recordings j to k - 1 alone; `gone:j:k`: in all but those (mended
+    and there again; or recordings without a date, whose order is that in which they were named). Some are alike: what
+    two recordings have can have begun as well as grown.
     """
     days = np.array([item.days for item in occasions])
     warmth = np.array([item.t_amb_k for item in occasions])
@@ -59,6 +64,9 @@ def ways_to_differ(occasions: Sequence[Occasion]) -> dict[str, Array]:
             found[f"grows:{k}"] = np.maximum(days - days[k], 0.0) / (days[-1] - days[k])
     if np.ptp(warmth) >= _COLD_SPAN_K:
         found["cold"] = (warmth.max() - warmth) / np.ptp(warmth)
+    for j, k in combinations(range(1, count if count <= _MOST_SPANNED else 0), 2):
+        inside = ((np.arange(count) >= j) & (np.arange(count) < k)).astype(np.float64)
+        found |= {f"only:{j}:{k}": inside, f"gone:{j}:{k}": 1.0 - inside}
     return found
 
 

@@ -105,12 +105,21 @@ def profile_words(profile: str | None, days: Sequence[Dated]) -> str:
     kind, _, number = profile.partition(":")
     if kind == "cold":
         return "comes with cold weather (this size at the coldest)"
+    if kind in ("only", "gone"):
+        j, k = map(int, number.split(":"))
+        span = _on(days[j]) if k == j + 1 else f"from {days[j].day} to {days[k - 1].day}"
+        return f"was there {span} alone" if kind == "only" else f"was there, but not {span}"
     k = int(number)
     if kind == "begins":
         return f"began between {days[k - 1].day} and {days[k].day}"
     if kind == "ends":
-        return f"was there up to {days[k - 1].day} and isn't on {days[k].day} any more"
+        return f"was there up to {days[k - 1].day} and isn't {_on(days[k])} any more"
     return f"has grown to this size since {days[k].day}"
+
+
+def _on(day: Dated) -> str:
+    """One recording's day, "on 2026-03-14"; "in recording 2" where there is none."""
+    return f"{'in' if day.date_from == ORDER else 'on'} {day.day}"
 
 
 def told_apart(found: Search, days: Sequence[Dated]) -> str:
@@ -144,8 +153,8 @@ def onset_of(location: Location, found: Search, days: Sequence[Dated]) -> Locati
         here = twin.since_start(row)
         return location.model_copy(update={"onset_s": here, "onset_date": days[r].day})
     kind, _, number = ("" if variant is None else variant.profile or "").partition(":")
-    if kind == "begins":
-        k = int(number)
+    if kind in ("begins", "only"):
+        k = int(number.split(":")[0])
         return location.model_copy(update={"onset_date": days[k].day, "onset_after": days[k - 1].day})
     if kind == "grows":
         k = int(number)

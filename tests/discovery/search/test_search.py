@@ -395,6 +395,9 @@ def test_a_fault_too_small_to_be_of_interest_is_not_called_one_without_a_name() 
     assert small is not None and small.name == "leak" and small.probability > 0.9
     assert small.magnitude == pytest.approx(0.02, rel=0.2)
     assert too_small(search.run(Toy(900, 6).record(), SETTINGS, laws=False)) is None
+    almost = SETTINGS.model_copy(update={"alarm_gain": found.gain(lead) + 1.0, "unnamed_gain": 18.0,
+                                         "unnamed_sensor_gain": 18.0})  # fmt: skip
+    assert search.run(toy, almost, laws=False).kind == "healthy"  # nor where the name is a little short of chance's bar
     withheld = search.run(toy, SETTINGS.asked(("leak", "drag"), 0), laws=False)
     assert withheld.gain(withheld.singles[0]) + SETTINGS.law_gain < withheld.lasting()[0].gain
     assert withheld.kind == "law"

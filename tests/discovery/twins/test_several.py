@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from datetime import UTC, datetime
 from typing import cast
 
 import numpy as np
@@ -13,8 +14,10 @@ from dieseltwin.discovery.twins.diesel import EngineTwin
 from dieseltwin.discovery.twins.diesel_circumstances import LoggedTwin
 from dieseltwin.discovery.twins.interface import OverRecordings, WithSignals, single
 from dieseltwin.discovery.twins.several import Occasion, SeveralTwin, profiles_of, ways_to_differ
+from dieseltwin.discovery.verdict.over_recordings import profile_words
 from dieseltwin.engine import we2011
 from dieseltwin.errors import InputError
+from dieseltwin.recordings.dates import NAME, ORDER, Dated
 from dieseltwin.recordings.reader import recording
 from tests.api.simulated import drive
 
@@ -70,12 +73,31 @@ def test_profiles_of_a_year():
     year = [Occasion(90.0 * k, 290.0 + t) for k, t in enumerate((0.0, 10.0, -12.0, 1.0))]
     found = profiles_of(year)
     edges = {f"{way}:{k}" for way in ("begins", "ends") for k in (1, 2, 3)}
-    assert set(found) == edges | {"grows:0", "grows:1", "cold"}
+    spans = {f"{way}:{j}:{k}" for way in ("only", "gone") for j, k in ((1, 2), (1, 3), (2, 3))}
+    assert set(found) == edges | spans | {"grows:0", "grows:1", "cold"}
     assert np.allclose(found["ends:2"], [1.0, 1.0, 0.0, 0.0])
     assert np.allclose(found["grows:0"], [0.0, 1 / 3, 2 / 3, 1.0])
     assert np.allclose(found["cold"], [10 / 22, 0.0, 1.0, 9 / 22])
     assert set(profiles_of(year[:2])) == {"begins:1", "ends:1"}  # that it grew, or comes with the cold, is the same
     assert set(ways_to_differ(year[:2])) == {"begins:1", "ends:1", "grows:0", "cold"}
+
+
+def test_what_was_there_in_between_or_away_in_between_is_a_way_to_differ():
+    """An exhaust leak in the first and third of three recordings without dates was a law of eta_c over the weather."""
+    year = [Occasion(73.0 * k, 298.0) for k in range(4)]
+    found = profiles_of(year)
+    assert found["only:1:3"].tolist() == [0.0, 1.0, 1.0, 0.0] and found["gone:1:2"].tolist() == [1.0, 0.0, 1.0, 1.0]
+    assert sum(name.startswith(("only", "gone")) for name in found) == 6
+    many = profiles_of([Occasion(float(k), 298.0) for k in range(12)])
+    assert not any(name.startswith(("only", "gone")) for name in many)
+    some = recording(drive(20.0))
+    days = [Dated(some, datetime(2026, month, 14, tzinfo=UTC), NAME) for month in (1, 3, 6, 9)]
+    assert profile_words("only:1:3", days) == "was there from 2026-03-14 to 2026-06-14 alone"
+    assert profile_words("only:2:3", days) == "was there on 2026-06-14 alone"
+    assert profile_words("gone:1:2", days) == "was there, but not on 2026-03-14"
+    undated = [Dated(some, datetime(1970, 1, 1 + k, tzinfo=UTC), ORDER) for k in range(4)]
+    assert profile_words("gone:1:2", undated) == "was there, but not in recording 2"
+    assert profile_words("ends:3", undated) == "was there up to recording 3 and isn't in recording 4 any more"
 
 
 def test_circumstances_are_those_of_each_recording():
