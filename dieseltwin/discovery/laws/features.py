@@ -252,7 +252,8 @@ def _scored(at: Linearisation, features: Sequence[Feature], responses: Array) ->
                 continue
             coefficient = push / information
             if feature.whole:
-                coefficient = float(np.clip(coefficient, *(share * feature.whole for share in OPERATOR_AMPLITUDE)))
+                least, most = (share * feature.whole for share in OPERATOR_AMPLITUDE)
+                coefficient = min(max(coefficient, least), most)
             gain = coefficient * (2.0 * push - coefficient * information)
             if gain <= 0.0 < feature.whole:
                 continue
