@@ -38,7 +38,7 @@ SLIPS: Mapping[str, tuple[Slip, ...]] = {
 }
 LONGEST_GAP_S = 1.0
 JITTER = 1.5  # steps: rows of 1 Hz that are 1.01 s apart are no gap
-TINY_FUEL_MG = 0.1  # a median below this is no fuel of a running engine in mg/cycle
+TINY_FUEL_MG = 0.5  # a median below this is no fuel of a running engine in mg/cycle: engines idle on 3 and more
 
 FRACTION = 1.2  # positions whose largest value is below this are fractions, if the valve is not simply shut
 COLDEST_EXHAUST = 0.85  # of the ambient temperature [-]: colder exhaust gas is in Celsius
@@ -118,7 +118,7 @@ def _check_median(name: str, median: float, where: str) -> None:
     if name == "u_delta_mg" and 0.0 <= median < low:
         raise InputError(f"{where}: column {name}", f"a median of {median:.6g}", f"{low:g} mg/cycle or more in half of "
                          "the rows, of an engine under load", "cut motoring off, or give the unit in a channel map "
-                         "(--channels)")  # fmt: skip
+                         "(--channels) if this is in g")  # fmt: skip
     looks = next((s.unit for s in SLIPS.get(range_.unit, ()) if s.low <= median <= s.high), None)
     guess = f" (looks like {looks})" if looks else ""
     raise InputError(

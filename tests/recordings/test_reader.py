@@ -360,8 +360,10 @@ def test_error_codes_of_loggers_count_as_missing(drive: pd.DataFrame) -> None:
     read = recording(frame)
     assert np.isnan(read.columns["t_em_k"][10:30]).all() and np.isfinite(read.columns["t_em_k"][30:]).all()
     assert "20 values of t_em_k are an error code (-9999) and count as missing" in read.notes
-    with pytest.raises(InputError, match=r"a median of 0; allowed: 0\.1 mg/cycle or more in half of the rows"):
+    with pytest.raises(InputError, match=r"a median of 0; allowed: 0\.5 mg/cycle or more in half of the rows"):
         recording(frame.assign(u_delta_mg=0.0))
+    with pytest.raises(InputError, match="if this is in g"):  # 0.1 in half of the rows
+        recording(frame.assign(u_delta_mg=frame.u_delta_mg / 1000.0))
     flap = np.where(frame.index < 20, -32768.0, 40.0)
     assert np.isnan(recording(drive.assign(u_flap_pct=flap)).columns["u_flap_pct"][:20]).all()
     recording(drive.assign(u_flap_pct=np.nan))

@@ -8,7 +8,16 @@ from typing import Literal
 
 import numpy as np
 
-from dieseltwin.discovery.laws.grammar import Factor, Form, Kind, bumps, map_arguments, operators, unit_of
+from dieseltwin.discovery.laws.grammar import (
+    OPERATOR_AMPLITUDE,
+    Factor,
+    Form,
+    Kind,
+    bumps,
+    map_arguments,
+    operators,
+    unit_of,
+)
 from dieseltwin.discovery.laws.shapes import lagged
 from dieseltwin.discovery.likelihood.fit import Fit, Linearisation
 from dieseltwin.discovery.likelihood.known import KnownErrors
@@ -45,6 +54,7 @@ class Feature:
         form: the same as a law, None for a fault of a sensor.
         effect: hypothesis that says the same by name, where the twin has one.
         outward: it does so where the coefficient is negative: nothing flows in through a hole.
+        whole: coefficient with which a lag, dead time or play is there just as it was scored; 0 for what has any size.
     """
 
     point: int | None
@@ -57,6 +67,7 @@ class Feature:
     form: Form | None = None
     effect: str | None = None
     outward: bool = False
+    whole: float = 0.0
 
     @property
     def behind(self) -> bool:
@@ -119,7 +130,7 @@ def generic_features(twin: Twin, fit: Fit) -> list[Feature]:
         for fault, lag_s in faults:
             same = (h.name for h in twin.hypotheses.values() if h.site == site and h.name.endswith(f"_{fault}"))
             text = f"lag {lag_s:g}" if fault == "lag" else fault
-            found.append(Feature(None, text, ones, site, j, fault, lag_s, effect=next(same, None)))
+            found.append(Feature(None, text, ones, site, j, fault, lag_s, effect=next(same, None), whole=lag_s))
     return found
 
 
@@ -163,7 +174,8 @@ def _hole(point: str, port: str, size: float, warm: str | None, variables: Mappi
 def _of_form(index: int, text: str, form: Form, site: str, variables: Mapping[str, Array]) -> list[Feature]:
     signal = np.asarray(form.value(variables), dtype=np.float64)
     size = float(np.sqrt(np.mean(signal**2)))
-    return [Feature(index, text, signal / size, site, form=form)] if size > 0 else []
+    whole = size if form.operator else 0.0
+    return [Feature(index, text, signal / size, site, form=form, whole=whole)] if size > 0 else []
 
 
 def score_features(at: Linearisation, features: Sequence[Feature]) -> list[Structure]:
@@ -226,6 +238,8 @@ def _of_fault(feature: Feature, true: Array, time_s: Array) -> Array:
 
 
 def _scored(at: Linearisation, features: Sequence[Feature], responses: Array) -> list[Structure]:
+    """Linear gains, strongest first. What replaces a quantity counts as far as it replaces it: a hundredth of a lag of
+    2 s is no lag of 0.02 s, which a clock takes up, but a slow drift (a healthy engine's "reading 0.015 s behind")."""
     directions = at.metric.project(responses)
     apart = 0.0 if isinstance(at.twin, WithExactResponses) else _APART
     projected = without_parameters(at, directions)
@@ -236,7 +250,13 @@ def _scored(at: Linearisation, features: Sequence[Feature], responses: Array) ->
             push = float(vector @ at.pulled_residual)
             if feature.behind and push <= 0.0:
                 continue
-            gain = push * push / information
+            coefficient = push / information
+            if feature.whole:
+                least, most = (share * feature.whole for share in OPERATOR_AMPLITUDE)
+                coefficient = min(max(coefficient, least), most)
+            gain = coefficient * (2.0 * push - coefficient * information)
+            if gain <= 0.0 < feature.whole:
+                continue
             held = gain * spread(at, vector)
-            found.append(Structure(feature, push / information, information**-0.5, gain, response, held))
+            found.append(Structure(feature, coefficient, information**-0.5, gain, response, held))
     return sorted(found, key=lambda item: -item.gain)

@@ -36,6 +36,7 @@ _THRESHOLD_QUANTILES = (0.05, 0.15, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95)
 _COMPARABLE = ("Pa", "K", "kg/s", "W", "m", "V", "N")  # units whose differences and ratios mean something
 _TIMES = {"lag": (0.08, 0.4, 2.0), "dead_time": (0.05, 0.2)}  # s (docs/discovery.md)
 _SLOW_LAGS = (10.0, 30.0)  # s, of temperatures besides: walls of metal
+OPERATOR_AMPLITUDE = (0.2, 3.0)  # of what an operator changes as scored: its coefficient is 1, its size not known yet
 _PLAYS = (1.0, 4.0, 10.0)  # % of full stroke
 _BUMP_WIDTHS = (0.06, 0.1, 0.17)  # of the range driven: narrower than what a map's tolerance follows (a third)
 AMBIENT = ("p_amb", "T_amb")

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from dieseltwin.discovery.laws.grammar import (
+    OPERATOR_AMPLITUDE,
     TIMES,
     Factor,
     Form,
@@ -32,7 +33,6 @@ _SIMPLER = 4  # candidates at the best one's point that are refitted as well
 _OF_ONE_POINT = 4  # refits at least
 _NEAR = 18.0  # of the best score: candidates whose simplicity counts; twice what a refit can't tell apart
 _ALIKE = 0.9995  # correlation in the metric above which the simpler of two forms stands for both
-_OPERATOR_AMPLITUDE = (0.2, 3.0)  # an operator's coefficient is 1; its size isn't known yet
 _OPERATOR_CHOICE = 2.0 * float(np.log(10.0))  # charge for the choice of one of some ten operators
 _NO_RESPONSE = 1e-10  # of a feature's own square sum: a response below it is rounding
 _AT_ONCE = 400  # products scored together, which bounds the memory
@@ -220,7 +220,7 @@ class _AtPoint:
         for i, form in zip(np.flatnonzero(visible), (forms[k] for k in np.flatnonzero(finite)[visible]), strict=True):
             coefficient = float(gradients[i] / norms[i])
             if form.fixed is not None:
-                coefficient = float(np.clip(coefficient, *_OPERATOR_AMPLITUDE))
+                coefficient = float(np.clip(coefficient, *OPERATOR_AMPLITUDE))
             gain = float(2.0 * coefficient * gradients[i] - coefficient**2 * norms[i])
             out.append(_Scored(form, coefficient, gain, self._charge(form), at_knots[i]))
         return out

@@ -335,12 +335,13 @@ def _downhill(
 
 
 def _lower(make: Callable[[Fit], Linearisation], here: Linearisation, trial: Fit) -> Linearisation | None:
-    """The linearisation at a trial, where its objective is lower."""
+    """The linearisation at a trial, where its objective is lower and some way leads on from there."""
     try:
         there = make(trial)
     except np.linalg.LinAlgError:  # the machine runs away there
         return None
-    return there if there.fit.objective < here.fit.objective else None
+    lower = there.fit.objective < here.fit.objective and np.isfinite(there.covariance).all()
+    return there if lower else None
 
 
 def _trial(here: Linearisation, step: Array, share: float, *, local: bool) -> Fit:

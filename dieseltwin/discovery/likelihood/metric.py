@@ -259,7 +259,8 @@ class Metric:
         """Posterior mean (B, K) of the nuisance coefficients for vectors (B, rows) without the initial states."""
         size = nuisances.responses.shape[1]  # the rows of the states' priors are in the projection already
         products = nuisances.responses @ inner[:, :size].T
-        return np.asarray(cho_solve((self._lower, True), products).T)
+        # what runs away has no number of its own, and is no end of the search for all others
+        return np.asarray(cho_solve((self._lower, True), products, check_finite=False).T)
 
     @cached_property
     def nuisance_basis(self) -> Array | None:

@@ -13,23 +13,29 @@ from dieseltwin.recordings.noise import estimate_noise
 _NOISE_LEAVES = (0.97, 1.075)  # of chi-square a reading, where an explanation is right
 
 
-def with_inputs_between_rows(twin: WithInputsToOpen, left: float) -> Twin | None:
-    """The twin whose inputs may have moved between its rows, where an explanation leaves more or less than its noise.
+def with_inputs_between_rows(found: Search) -> tuple[Twin | None, bool]:
+    """The twin whose inputs may have moved between its rows, where an explanation leaves more or less than its noise;
+    and whether what is found with it stands whatever it explains.
 
     Inputs that move unseen leave errors which differences of rows take for noise in part, and which health and maps
     can't take up: of eight healthy engines of a foreign simulator, driven by a quick pedal and recorded at 5 or 10 Hz,
     all got an alarm and were left with 0.76 to 0.96 or 1.10 to 1.25 of what noise leaves; right names leave 1.02 to
-    1.06.
-
-    Args:
-        twin: of the search; left: `share_left` of its explanation.
+    1.06. Less than noise is left where the noise that differences of rows tell holds more than noise.
     """
-    return None if _NOISE_LEAVES[0] < left < _NOISE_LEAVES[1] else twin.with_inputs_between_rows()
+    if not isinstance(found.twin, WithInputsToOpen):
+        return None, False
+    left = share_left(found)
+    seen = _NOISE_LEAVES[0] < left < _NOISE_LEAVES[1]
+    return None if seen else found.twin.with_inputs_between_rows(), left <= _NOISE_LEAVES[0]
 
 
-def noise_is_too_large(left: float) -> bool:
-    """Whether an explanation leaves less than the noise that differences of rows tell: they hold more than noise."""
-    return left <= _NOISE_LEAVES[0]
+def is_made_again(found: Search) -> bool:
+    """Whether the search is made with inputs that moved between the rows, whatever law is found without: before one is
+    looked for less is left than its noise."""
+    if found.kind != "law":
+        return False
+    other, stands = with_inputs_between_rows(found)
+    return stands and other is not None
 
 
 def share_left(found: Search) -> float:

@@ -11,7 +11,6 @@ from dataclasses import replace
 
 from dieseltwin.discovery.laws.features import Structure, scored_since
 from dieseltwin.discovery.laws.sensor import laws_in_turn
-from dieseltwin.discovery.likelihood.between_rows import WithInputsToOpen
 from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, fit_fully
 from dieseltwin.discovery.likelihood.learned import belief_of
 from dieseltwin.discovery.likelihood.refit import nearer, refit_all
@@ -52,7 +51,7 @@ from dieseltwin.discovery.search.preparation import (
     recentred,
     tolerance_responses,
 )
-from dieseltwin.discovery.search.quick_inputs import noise_is_too_large, share_left, with_inputs_between_rows
+from dieseltwin.discovery.search.quick_inputs import is_made_again, with_inputs_between_rows
 from dieseltwin.discovery.search.renewal import BENDS, about_the_leader
 from dieseltwin.discovery.search.settled import evidence_of
 from dieseltwin.discovery.search.standing import explain_standing
@@ -110,10 +109,11 @@ def carry_on(
     try:
         with time_limit(left):
             _explain(found)
-            found = _in_own_weather(found)
-            if found.kind == "law" and laws:
-                found = _with_law(found)
-                found = _with_reading_in_time(found)
+            if time_s is not None or not is_made_again(found):  # what it leaves without a law says so already
+                found = _in_own_weather(found)
+                if found.kind == "law" and laws:
+                    found = _with_law(found)
+                    found = _with_reading_in_time(found)
     except OutOfTimeError:
         found.unfinished = STAGES[STAGES.index(found.stage) :]
         if found.kind != "law" and (found.kind != "healthy" or raises_alarm(found, found.singles[0])):
@@ -127,17 +127,16 @@ def carry_on(
 def _with_inputs_between_rows(found: Search, laws: bool, time_s: float | None) -> Search:
     """The search where inputs may have moved between the rows, where that explains more or the noise can't be as large
     as without; arguments as of `carry_on`."""
-    if found.unfinished or found.kind == "healthy" or not isinstance(found.twin, WithInputsToOpen):
+    if found.unfinished or found.kind == "healthy":
         return found
-    left_over = share_left(found)
-    other = with_inputs_between_rows(found.twin, left_over)
+    other, stands = with_inputs_between_rows(found)
     if other is None or (time_s is not None and time_s <= 0.0):
         return found
     clock = time.perf_counter()
     here = prepare(other, found.settings)
     left = None if time_s is None else time_s - (time.perf_counter() - clock)
     here = carry_on(here, laws=laws, time_s=left)
-    return here if noise_is_too_large(left_over) else _likelier(found, here)
+    return here if stands else _likelier(found, here)
 
 
 def _with_names(found: Search, starts: Sequence[Fit]) -> Search:

@@ -72,6 +72,23 @@ def test_a_lag_is_found_where_a_sensor_may_lag() -> None:
     assert law.faults[0].size == pytest.approx(0.8, abs=0.1)
 
 
+def test_a_hundredth_of_a_lag_is_none() -> None:
+    """A healthy engine had "reading 0.015 s behind": three quarters of a per cent of what a lag of 2 s changes."""
+
+    def gains(reading: np.ndarray) -> dict[str, float]:
+        toy.measured[:, 1] = reading
+        at = _null(toy)
+        found = score_features(at, generic_features(cast(Twin, toy), at.fit))
+        return {item.feature.text: item.gain for item in found if item.feature.fault == "lag"}
+
+    toy = Toy().record()
+    toy.law_scope = LawScope(lagging_sensors=("y",))  # type: ignore[attr-defined]
+    true = toy.measured[:, 1].copy()
+    lag = lagged(true, toy.time_s, 2.0) - true
+    assert max(gains(true + lag).values()) > 100.0
+    assert max(gains(true + 0.02 * lag).values(), default=0.0) < 10.0
+
+
 def test_span_and_zero_of_a_sensor_are_found_together() -> None:
     toy = Toy().record()
     toy.measured[:, 1] = toy.measured[:, 1] * 1.15 - 0.2

@@ -57,6 +57,17 @@ def test_a_fit_takes_shorter_steps_where_the_machine_runs_away() -> None:
     assert reached.fit.objective < Linearisation(toy, whitening, start, None, response).fit.objective
 
 
+def test_one_run_without_an_end_is_no_error_of_the_others() -> None:
+    """Beside tolerances it was a traceback: vanes that were recorded the wrong way round."""
+    toy = Toy(900, 6).record(gain=1.1)
+    whitening, start = _fit(toy, 1.0)
+    at = Linearisation(toy, whitening, start, None, _responses(toy, whitening, start))
+    values = np.stack([at.residual, np.where(np.arange(900)[:, None] < 450, at.residual, np.nan), at.residual])
+    projected = at.metric.project(values)
+    np.testing.assert_allclose(projected[[0, 2]], at.metric.project(values[[0, 2]]), atol=1e-9)
+    assert not np.isfinite(projected[1]).all()
+
+
 def test_responses_that_are_not_finite_are_an_error_that_callers_know() -> None:
     toy = Toy(100, 2).record()
     whitening, _ = _fit(toy, 1.0)
