@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, Union
 
@@ -114,6 +115,11 @@ def opened(source: Source | Made, machine: Engine, channels: Channels | None) ->
         refuse_options({"--channels": channels}, f"for {machine.name}: its file names the columns")
     source = as_table(source)
     return import_columns(source, channels) if isinstance(source, str | Path | pd.DataFrame) else source
+
+
+def named(file: Path, channels: Path | None, name: str) -> Imported:
+    """A file by its channel map under another name, which may say its date."""
+    return replace(import_columns(file, channels), path=Path(name))
 
 
 def settled(read: Opened) -> bool:

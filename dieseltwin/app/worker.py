@@ -46,7 +46,6 @@ from dieseltwin.sealed import sealed_json, sealed_text
 
 if TYPE_CHECKING:
     from dieseltwin.api.histories import Watched
-    from dieseltwin.recordings.named_columns import Imported
 
 MOST_LINES = 200  # of progress
 
@@ -135,10 +134,13 @@ def _check(worker: Worker) -> str:
 def _discover(worker: Worker) -> str:
     from dieseltwin.api.discovery import ask
     from dieseltwin.api.driving import DrivingQuestion
+    from dieseltwin.api.reading import named
 
     worker.stage(f"Reading {counted(len(worker.job.recordings), 'recording')}")
     if len(worker.job.recordings) > 1:
-        question = ask(_read_as_named(worker), worker.engine())
+        dropped = sorted(map(worker.kept, worker.job.recordings), key=lambda kept: (kept.added, kept.name))
+        own = [named(worker.file_of(kept), worker.map_of(kept), kept.name) for kept in dropped]  # names may say dates
+        question = ask(own, worker.engine())
     else:
         kept = worker.recording()
         question = ask(worker.file_of(kept), worker.engine(), channels=worker.map_of(kept))
@@ -152,14 +154,6 @@ def _discover(worker: Worker) -> str:
     worker.stage("Writing the report")
     found.save(worker.result())
     return found.sentence
-
-
-def _read_as_named(worker: Worker) -> list[Imported]:
-    """Recordings by their channel maps, under people's names, which may say their dates; those dropped first first."""
-    from dieseltwin.recordings.named_columns import import_columns
-
-    chosen = sorted(map(worker.kept, worker.job.recordings), key=lambda kept: (kept.added, kept.name))
-    return [replace(import_columns(worker.file_of(kept), worker.map_of(kept)), path=Path(kept.name)) for kept in chosen]
 
 
 def _identify(worker: Worker) -> str:
