@@ -9,8 +9,7 @@ from fastapi.testclient import TestClient
 
 from dieseltwin.api.histories import history
 from dieseltwin.app.desk import Desk
-from dieseltwin.app.kept import JobState, Outcome, Store, now, save
-from dieseltwin.app.worker import Worker, _read_as_named
+from dieseltwin.app.kept import JobState, Outcome, now, save
 from dieseltwin.app.workplace import Workplace
 from dieseltwin.atomic import write_json
 from dieseltwin.learning.history import History
@@ -120,7 +119,7 @@ def test_an_engine_that_was_repaired_beside_a_learned_one_comes_with_what_was_le
 
 
 def test_several_recordings_are_judged_together_under_their_own_names(
-    client: TestClient, recording: str, logger_csv: bytes, wait_for: Waiting, workplace: Workplace
+    client: TestClient, recording: str, logger_csv: bytes, wait_for: Waiting
 ) -> None:
     paths = []
     for name in ("b 2026-03-14.csv", "a 2026-01-02.csv"):
@@ -139,10 +138,6 @@ def test_several_recordings_are_judged_together_under_their_own_names(
     assert "What is left out of 2 recordings" in client.get(path).text
     page = wait_for(path, 'role="alert"')
     assert "b 2026-03-14.csv" in page and "share no driving" in page  # the same rows twice: people's names, in one line
-    job = desk_of(client).store.job(path.rsplit("/", 1)[-1])
-    assert job is not None
-    read = _read_as_named(Worker(Store(workplace), job))
-    assert sorted(str(one.path) for one in read) == ["a 2026-01-02.csv", "b 2026-03-14.csv"]
 
 
 def test_a_recording_is_taken_out_of_a_history_and_counts_again(client: TestClient, wait_for: Waiting) -> None:

@@ -38,7 +38,7 @@ def answer(ask: Ask, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str]
 @pytest.mark.parametrize(
     ("name", "effect", "site", "magnitude", "std", "after"),
     [
-        ("leak", "intake_leak", "intake_mass_balance", 1.5e-5, 1.5e-7, -2.61),
+        ("leak", "intake_leak", "intake_mass_balance", 1.5e-5, 1.5e-7, -3.01),
         ("sensor", "w_af_gain", "sensor:w_af_kg_s", 0.10, 0.0016, -16.38),
     ],
 )

@@ -21,7 +21,7 @@ WRONG = {
     "omega_t_rad_s": ("Hz", lambda x: x / (2.0 * np.pi), "wheel of"),
     "w_egr_kg_s": ("kg/min", lambda x: 60.0 * x, "of the charge"),
     "t_em_k": ("degF", lambda x: 1.8 * x - 459.67, "K at no fuel, far below"),
-    "u_delta_mg": ("g", lambda x: 4e-3 * x, "is this g or kg"),
+    "u_delta_mg": ("g, of a large engine", lambda x: 8e-3 * x, "is this g or kg"),  # of a lorry's it is refused
 }
 
 

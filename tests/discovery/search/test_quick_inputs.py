@@ -15,6 +15,8 @@ from dieseltwin.discovery.search.quick_inputs import is_made_again, with_inputs_
 class _ToOpen:
     """A twin whose inputs may have moved between its rows, or one of fast rows."""
 
+    states = ()
+
     def __init__(self, other: str | None) -> None:
         self.other = other
 
