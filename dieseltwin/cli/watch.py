@@ -24,6 +24,8 @@ from dieseltwin.errors import InputError, Refused
 from dieseltwin.notes import counted
 
 if TYPE_CHECKING:
+    from dieseltwin.api.fleet import Fleet
+    from dieseltwin.api.histories import Watched
     from dieseltwin.settings.watch import WatchConfig
 
 watch_app = typer.Typer(help="The history of one engine: add recordings, see what has changed.", add_completion=False)
@@ -31,6 +33,9 @@ watch_app.callback(invoke_without_command=True)(help_without_command)
 
 HistoryFolder = Annotated[Path, typer.Option("--history", metavar="DIR", help="Folder of the engine's history.")]
 Which = Annotated[str, typer.Argument(metavar="RECORDING", help="Its name, date, hash (8 digits will do) or the file.")]
+Out = Annotated[
+    Path | None, typer.Option("--out", metavar="DIR", help="Folder for the pages and the table; none without it.")
+]
 Rate = Annotated[
     float | None,
     typer.Option("--alarms-per-year", metavar="X", help="False alarms an engine and year; else the settings'."),
@@ -69,9 +74,7 @@ def add_command(
 @watch_app.command("show")
 def show_command(
     history: HistoryFolder,
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Folder for the page and the table; none without it.")
-    ] = None,
+    out: Out = None,
     alarms_per_year: Rate = None,
     params: ParamsFile = None,
     profile: Profile = "quick",
@@ -82,10 +85,7 @@ def show_command(
     from dieseltwin.api.histories import history as history_of
 
     found = history_of(history, settings=_settings(params, profile, alarms_per_year))
-    say(found.lines())
-    if out is not None:
-        found.save(out)
-        say([f"results: {out}"])
+    _show(found, out)
 
 
 @watch_app.command("remove")
@@ -111,9 +111,7 @@ def restore_command(recording: Which, history: HistoryFolder) -> None:
 @watch_app.command("fleet")
 def fleet_command(
     histories: Annotated[list[Path], typer.Argument(metavar="HISTORY...", help="Folders of engines' histories.")],
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Folder for the pages and the table; none without it.")
-    ] = None,
+    out: Out = None,
     alarms_per_year: Rate = None,
     params: ParamsFile = None,
     profile: Profile = "quick",
@@ -126,12 +124,17 @@ def fleet_command(
     found = fleet(histories, settings=_settings(params, profile, alarms_per_year))
     if not found.engines:
         raise Refused(found.refused[0][1])
+    _show(found, out)
+    if found.refused:
+        raise typer.Exit(InputError.exit_code)
+
+
+def _show(found: Watched | Fleet, out: Path | None) -> None:
+    """Say what was found, and write its pages and table into a folder where one is named."""
     say(found.lines())
     if out is not None:
         found.save(out)
         say([f"results: {out}"])
-    if found.refused:
-        raise typer.Exit(InputError.exit_code)
 
 
 def _settings(params: Path | None, profile: str, alarms_per_year: float | None) -> WatchConfig:

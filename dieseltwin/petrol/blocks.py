@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +19,6 @@ from dieseltwin.petrol.recording import Signals, gaps
 BLOCK_S = 1.0
 EDGE_ROWS = 6  # rows averaged for a block's end pressure: the manifold pulsates by 5 % at idle
 FULLEST_HOLE = 0.5  # blocks with fewer than this part of the usual rows are left out
-WINDOW_BLOCKS = 1  # an onset is tried at each block: neighbours are correlated, and a jump shows in its own second
 LEAST_FACTOR = 0.05  # that a signal at a map may leave of it [-]
 LEAST_FLOW = 1e-4  # kg/s, a twentieth of idle: keeps logarithms finite in overrun transients
 
@@ -98,16 +96,6 @@ def make_grid(time_s: Array) -> Grid:
         np.concatenate([part[1] for part in parts]), np.concatenate([part[2] for part in parts]),
         np.concatenate(piece),
     )  # fmt: skip
-
-
-def window_starts(piece: NDArray[np.int64]) -> NDArray[np.int64]:
-    """First block of every window of nearly WINDOW_BLOCKS; none reaches over a gap."""
-    edges = [0, *(np.flatnonzero(np.diff(piece)) + 1), len(piece)]
-    starts: list[int] = []
-    for a, b in pairwise(edges):
-        count = max(round((b - a) / WINDOW_BLOCKS), 1)
-        starts += [int(a + k * (b - a) // count) for k in range(count)]
-    return np.array(starts, dtype=np.int64)
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ from dieseltwin.discovery.twins.interface import (
 from dieseltwin.errors import InputError
 from dieseltwin.notes import Note
 from dieseltwin.petrol.believed import BALANCE_OF, healthy_parameters
-from dieseltwin.petrol.blocks import Blocks, Once, blocks_of, make_grid, window_starts
+from dieseltwin.petrol.blocks import Blocks, Once, blocks_of, make_grid
 from dieseltwin.petrol.components import LINEAR_ABOVE
 from dieseltwin.petrol.effects import AIR_FLOW, CLOCKS, HYPOTHESES, NEEDS, metered, undo_all
 from dieseltwin.petrol.jumps import with_jumps
@@ -98,7 +98,8 @@ class PetrolTwin(TwinDefaults):
         self.points: tuple[Point, ...] = POINTS
         self.hypotheses: Mapping[str, Hypothesis] = HYPOTHESES
         self.time_s = self.grid.mid_s
-        self.starts = window_starts(self.grid.piece)
+        # an onset is tried at each block: neighbours are correlated, and a jump shows in its own second
+        self.starts = np.arange(len(self.time_s))
         self.conditions: Mapping[str, Array] = {}
         self._known = self._maps_at(self.blocks)
         self._outside = outside(self.blocks, *engine.maps)

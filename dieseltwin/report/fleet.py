@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from dieseltwin.engine import HEALTH
 from dieseltwin.learning.alarm import Alarm, Course
-from dieseltwin.learning.history import HEALTHY, Entry
+from dieseltwin.learning.history import Entry
 from dieseltwin.least_squares import Z_90
 from dieseltwin.notes import counted
 from dieseltwin.report import quantities, style
@@ -49,7 +49,7 @@ class OfEngine:
         alarm = self.course.alarm
         if alarm is not None and alarm.gone is None:
             return ALARM
-        if self.entries[-1].verdict != HEALTHY:
+        if self.entries[-1].shown.names:
             return LOOK
         return WELL if alarm is None else GONE
 
@@ -67,8 +67,8 @@ def _alarm_words(alarm: Alarm, entries: Sequence[Entry]) -> str:
     last = int(np.flatnonzero(np.isfinite(alarm.sizes))[-1])
     size = magnitude_words(alarm.name, float(alarm.sizes[last]), float(alarm.stds[last]), alarm.unit, extra=False)
     about = "" if alarm.name in entries[last].sizes else "about "
-    names, way = " or ".join([alarm.name, *alarm.others]), "growing" if alarm.grows else "there"
-    return f"{names}, {about}{size} on {entries[last].moment:{DAY}}, {way} since {alarm.since:{DAY}}"
+    way = "growing" if alarm.grows else "there"
+    return f"{_names(alarm)}, {about}{size} on {entries[last].moment:{DAY}}, {way} since {alarm.since:{DAY}}"
 
 
 def ordered(engines: Sequence[OfEngine]) -> list[OfEngine]:
@@ -83,7 +83,7 @@ def sentence(engines: Sequence[OfEngine], alarms_per_year: float) -> str:
     have = "have" if len(alarmed) > 1 else "has"
     said = f"{len(alarmed) or 'None'} of {counted(len(engines), 'engine')} {have} an alarm"
     if alarmed:
-        said += f": {_named([f'{one.name} ({_effect(one)})' for one in alarmed])}"
+        said += f": {_named([f'{one.name} ({_names(one.course.alarm)})' for one in alarmed])}"
     if look:
         names = _named([f"{one.name} ({one.entries[-1].verdict})" for one in look])
         said += f"; without an alarm, the last recording alone shows something of {len(look)}: {names}"
@@ -96,8 +96,8 @@ def sentence(engines: Sequence[OfEngine], alarms_per_year: float) -> str:
             "among so many engines are for nothing.")  # fmt: skip
 
 
-def _effect(one: OfEngine) -> str:
-    alarm = one.course.alarm
+def _names(alarm: Alarm | None) -> str:
+    """What an alarm may be about."""
     return "" if alarm is None else " or ".join([alarm.name, *alarm.others])
 
 

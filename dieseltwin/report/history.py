@@ -168,7 +168,7 @@ def _when(entries: Sequence[Entry], course: Course) -> tuple[list, list]:
 def page(entries: Sequence[Entry], course: Course, said: str, taken_out: Sequence[TakenOut] = ()) -> Page:
     """What the page says; `said` is its headline."""
     figures = [figure for figure in (health(entries, course), evidence(entries, course)) if figure is not None]
-    hours, shows = sum(entry.hours for entry in entries), bool(entries) and entries[-1].verdict != HEALTHY
+    hours, shows = sum(entry.hours for entry in entries), bool(entries and entries[-1].shown.names)
     dates = " or its ".join(sorted({entry.date_from for entry in entries}))
     heads = ("date", "recording", "min", "kPa", "°C", *(f"{name} [%]" for name in HEALTH), "evidence", "by itself")
     rows = [

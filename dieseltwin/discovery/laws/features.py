@@ -255,7 +255,7 @@ def _scored(at: Linearisation, features: Sequence[Feature], responses: Array) ->
                 least, most = (share * feature.whole for share in OPERATOR_AMPLITUDE)
                 coefficient = min(max(coefficient, least), most)
             gain = coefficient * (2.0 * push - coefficient * information)
-            if gain <= 0.0 < feature.whole:
+            if feature.whole and gain <= 0.0:
                 continue
             held = gain * spread(at, vector)
             found.append(Structure(feature, coefficient, information**-0.5, gain, response, held))

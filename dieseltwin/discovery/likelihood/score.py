@@ -136,12 +136,11 @@ def ways_of_each(scored: Sequence[Scored]) -> list[Scored]:
     downwards; which of them begins in the middle is not told by which is better from the first row on.
     """
     best = {item.name: item for item in best_of_each(scored)}
-    lengths = {id(item): float(np.linalg.norm(item.projected)) for item in scored}
 
     def differs(item: Scored) -> bool:
-        other = best[item.name]
-        both = lengths[id(item)] * lengths[id(other)]
-        return both > 0.0 and abs(float(item.projected @ other.projected)) < _SAME_DIRECTION * both
+        one, other = item.projected, best[item.name].projected
+        both = float(np.linalg.norm(one) * np.linalg.norm(other))
+        return both > 0.0 and abs(float(one @ other)) < _SAME_DIRECTION * both
 
     return sorted([*best.values(), *filter(differs, scored)], key=lambda item: -item.gain)
 

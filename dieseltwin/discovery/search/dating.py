@@ -52,7 +52,7 @@ def date_edges(found: Search) -> None:
     if _unseen(found, ranges.values()):
         ranges, dated = _dated_with_all_readings(found, best, variant, within)
     coarse = float(np.median(np.diff(found.twin.time_s))) >= _RASTER_S  # a row beside may be another world
-    if not _holds(ranges, variant, _RASTER_S) or (coarse and not _holds(_dates_of(dated, ranges), variant)):
+    if not _holds(ranges, variant, _RASTER_S) or (coarse and not np.array_equal(dated.schedule, variant.schedule)):
         _explain_at(found, dated)
         variant = dated
     ranges = {name: (min(low, _date_of(variant, name)), max(high, _date_of(variant, name)))
@@ -238,11 +238,6 @@ def _worse_than_any(at: Linearisation, windows: np.ndarray) -> np.ndarray:
 def _holds(ranges: Ranges, variant: Variant, beyond_s: float = 0.0) -> bool:
     """Whether a variant's edges lie within ranges that may reach so much further [s]."""
     return all(low - beyond_s <= _date_of(variant, name) <= high + beyond_s for name, (low, high) in ranges.items())
-
-
-def _dates_of(variant: Variant, ranges: Ranges) -> Ranges:
-    """A variant's edges as ranges of no length."""
-    return {name: (_date_of(variant, name), _date_of(variant, name)) for name in ranges}
 
 
 def _date_of(variant: Variant, name: str) -> float:

@@ -141,18 +141,13 @@ def _times_of_leader(found: Search) -> str:
 
 
 def _date_anew(found: Search) -> None:
-    """Onsets of the leading effects by their responses at the sizes found; the scan takes effects linearly. What was
-    there until a time is dated as its opposite since then, too: where both explain much, one began."""
-    first_s, dated = float(found.twin.time_s[0]), []
+    """Onsets of the leading effects by their responses at the sizes found; the scan takes effects linearly."""
+    dated = []
     for variant, fit in _leaders(found):
-        if variant.onset_s is None or variant.grows or variant.gone:
-            continue
-        since, size = (variant.onset_s, 1.0) if variant.until_s is None else (variant.until_s, -1.0)
-        if variant.until_s is not None and (variant.onset_s > first_s or found.twin.hypotheses[variant.name].sign):
-            continue
-        other = redated(found.null, variant.name, size * float(fit.magnitudes[0]), found.settings.least_share)
-        if abs(float(other.onset_s or 0.0) - since) > ONSET_REACHES_S[0]:
-            dated.append(other)
+        if variant.onset_s is not None and not (variant.until_s or variant.grows or variant.gone):
+            other = redated(found.null, variant.name, float(fit.magnitudes[0]), found.settings.least_share)
+            if abs(float(other.onset_s or 0.0) - variant.onset_s) > ONSET_REACHES_S[0]:
+                dated.append(other)
     _refit_variants(found, dated)
 
 
