@@ -24,6 +24,7 @@ from dieseltwin.calibration.imply import Answers, contradictions
 from dieseltwin.calibration.likelihood import NOISE
 from dieseltwin.calibration.saved import (
     answers_of,
+    as_repaired_by,
     base_and_geometry,
     calibration_sidecar,
     load_answers,
@@ -289,6 +290,7 @@ def ask(
                       search=search)
     source = settled_points(points, channels, geometry, NEEDED)
     if isinstance(engine, str | Path) and not question.reference:
+        source = as_repaired_by(engine, source)
         source = replace(source, notes=(*source.notes, *other_points(Path(engine), source)))
     if learned_engine_of(engine) is not None:
         source = replace(source, notes=(*source.notes, _MEAN_MAPS))
@@ -359,6 +361,7 @@ def imply(
     if "exhaust_flap" in answers.first.values and "u_flap_pct" not in source:
         raise InputError(f"{source.path or 'points'}: column u_flap_pct", "none",
                          "this column: the engine has an exhaust flap", "add the flap's position")
+    source = as_repaired_by(engine.found if isinstance(engine, PointsDiscovered) else engine, source)
     straight = source.with_columns(**{column: 100.0 - source[column] for column in turned})
     notes = [*contradictions(straight, answers.first.misfit(straight)),
              *outside(straight, answers.first.guess.centre, answers.first.guess.spread)]  # fmt: skip

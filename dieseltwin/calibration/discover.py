@@ -29,6 +29,7 @@ from dieseltwin.calibration.likelihood import Estimate, estimate, log_density
 from dieseltwin.calibration.onsets import Onset, onset_of
 from dieseltwin.calibration.own_pipes import BACK_PRESSURE, beside_own_pipes
 from dieseltwin.calibration.reference_engine import about_reference, told_by_reference
+from dieseltwin.calibration.rough_maps import rough_enough
 from dieseltwin.calibration.scatter import Scatter, scatter_of
 from dieseltwin.calibration.steady_model import (
     CHARGE_OFFSET,
@@ -121,6 +122,7 @@ class PointsDiscovery:
         seconds: wall time.
         before_law: `repaired` as it was before the law, where there is one.
         beside_pipes: back pressure where the engine has usual pipes of its own [Pa/(kg/s)^2], where that was found.
+        rough: how many times the believed errors of maps explain what has no name [-], where some do.
     """
 
     calibration: Calibration
@@ -139,6 +141,7 @@ class PointsDiscovery:
     seconds: float
     before_law: Calibration | None = None
     beside_pipes: float | None = None
+    rough: float | None = None
 
     @property
     def mismatch(self) -> bool:
@@ -227,7 +230,7 @@ def discover_points(calibration: Calibration, options: Options | None = None) ->
             break
         more = [c for name in added for c in effect_coefficients(name, hypotheses[name], options.search.flap_spread)]
         if onset is not None:
-            there = replace(there, points=there.points.with_columns(**{f"{SINCE}{onset.name}": onset.acts}))
+            there = replace(there, points=_acting(there.points, onset, hypotheses[onset.name]))
         candidate = _refitted(there, [*free, *more], _start_of(found, added, more, onset))
         vanished = _vanished(candidate, added, hypotheses, found)
         if vanished:  # the maps bend so that nothing is left of it: the search looks again without that name
@@ -270,7 +273,16 @@ def discover_points(calibration: Calibration, options: Options | None = None) ->
         submodel_fits(here.model, here.points, mask, trained, here.estimate.discrepancy),
         law, terms, scatter, options, _formulations(here, free, options.search.submodels), time.perf_counter() - clock,
         before_law, beside_pipes,
+        rough_enough(last.found, twin) if more_is_missing and not told else None,
     )  # fmt: skip
+
+
+def _acting(points: SteadyPoints, onset: Onset, effect: Hypothesis) -> SteadyPoints:
+    """The points with where an effect acts. What moves the charge or its reading bends what is usual of it: the points
+    before tell that."""
+    acting = points.with_columns(**{f"{SINCE}{onset.name}": onset.acts})
+    moved = "t_im_k" in points and effect.site in ("intake_temperature", "sensor:t_im_k")
+    return acting.with_usual_charge(onset.acts < 0.5) if moved else acting
 
 
 def _vanished(

@@ -8,7 +8,7 @@ unmeasured places with its covariance, and the first guess of the states, so tha
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,12 +23,13 @@ from dieseltwin.calibration.discover import PointsDiscovery
 from dieseltwin.calibration.imply import Answerer, Answers, Guess, guess_of
 from dieseltwin.calibration.likelihood import NOISE
 from dieseltwin.calibration.local_errors import LocalErrors, Smoothness, local_errors, thinned
-from dieseltwin.calibration.steady_model import SteadyModel
+from dieseltwin.calibration.steady_model import SteadyModel, term_values
+from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.engine.engine_files import load_engine
 from dieseltwin.engine.parameters import EngineParameters
 from dieseltwin.errors import InputError
 from dieseltwin.notes import doubts_among, warnings_of
-from dieseltwin.recordings.steady_points import SteadyPoints
+from dieseltwin.recordings.steady_points import SINCE, SteadyPoints
 from dieseltwin.sealed import read_json, sealed_json, sealed_text
 
 FORMAT = 1
@@ -118,6 +119,51 @@ def other_points(engine_file: Path, points: SteadyPoints) -> list[str]:
             "fitted anew to these, which takes up most of a fault: give those points as --reference to judge by them"]
 
 
+def since_rows(result: PointsDiscovery) -> dict[str, int]:
+    """Slot of a term of the repaired engine -> data row of the first judged point that has it, where that isn't the
+    first of all."""
+    points = result.points
+    acts = {slot: points.columns.get(f"{SINCE}{slot}") for slot in term_values(result.engine().terms)}
+    return {slot: int(points.row[column > 0.5].min()) for slot, column in acts.items() if column is not None}
+
+
+def acting_since(points: SteadyPoints, judged_sha256: str, rows: Mapping[str, int]) -> SteadyPoints:
+    """Points with where each term of a repaired engine acts, if they are those that it was found on: the file holds the
+    engine of the last one, and the points before an onset aren't its. Other points as they are.
+
+    Args:
+        points: that are asked or judged.
+        judged_sha256: of the points that the terms were found on.
+        rows: of `since_rows`.
+    """
+    if not rows or not judged_sha256 or points.sha256 != judged_sha256:
+        return points
+    names = ", ".join(f"{slot} (since data row {row})" for slot, row in rows.items())
+    note = f"these are the points that the engine was repaired by: {names} acts from there on, not in the points before"
+    acts = {f"{SINCE}{slot}": (points.row >= row).astype(np.float64) for slot, row in rows.items()}
+    acting = replace(points.with_columns(**acts), notes=(*points.notes, note))
+    warmer = [row for slot, row in rows.items() if slot in EFFECTS and EFFECTS[slot].site == "intake_temperature"]
+    if warmer and "t_im_k" in points:  # what was usual of the charge was told by the points before
+        acting = acting.with_usual_charge(points.row < min(warmer))
+    return acting
+
+
+def as_repaired_by(engine: PointsDiscovery | str | Path, points: SteadyPoints) -> SteadyPoints:
+    """`acting_since` by what was found, or by the sidecar of an engine file; the points as they are where there is
+    none."""
+    if isinstance(engine, PointsDiscovery):
+        return acting_since(points, engine.points.sha256, since_rows(engine))
+    engine_file = Path(engine)
+    sidecar = steady_sidecar(engine_file)
+    if calibration_sidecar(engine_file).is_file() or not sidecar.is_file():
+        return points
+    content = _read(sidecar, STEADY_FORMAT, WITHOUT_POINTS)
+    try:
+        return acting_since(points, str(content.get("judged_sha256", "")), dict(content.get("since_row", {})))
+    except (TypeError, ValueError) as error:
+        raise _broken(sidecar, error) from None
+
+
 def write_repaired(result: PointsDiscovery, path: Path, answers: Answers | None = None) -> list[Path]:
     """The repaired machine: an engine file with its terms, and the sidecar that `imply` reads.
 
@@ -136,10 +182,11 @@ def write_repaired(result: PointsDiscovery, path: Path, answers: Answers | None 
         "beliefs": [asdict(c) for c in BELIEFS],
         "formulations": {name: _formulation(answerer) for name, answerer in answers.formulations.items()},
         "noise": dict(NOISE),
-        "points": {name: _listed(column) for name, column in thinned(result.calibration.points).columns.items()},
+        "points": {name: _listed(column) for name, column in thinned(result.points).columns.items()},
         "guess": {"weights": guess.weights.tolist(), "centre": guess.centre.tolist(), "spread": guess.spread.tolist(),
                   "residual": guess.residual.tolist()},
         "turned": [a.column for a in result.calibration.actuators if a.opens < 0],
+        "judged_sha256": result.points.sha256, "since_row": since_rows(result),
         "base": result.calibration.base.model_dump(mode="json"),
         "geometry": result.calibration.geometry.model_dump(mode="json"),
     }  # fmt: skip
@@ -189,7 +236,7 @@ def load_answers(path: Path) -> tuple[Answers, tuple[str, ...]]:
 def answers_of(result: PointsDiscovery) -> Answers:
     """The same without a file."""
     guess = guess_of(result.calibration.points)
-    points = thinned(result.calibration.points)
+    points = thinned(result.points)
     answerers = {}
     for name, (model, found) in result.formulations.items():
         values = {**result.repaired.start, **found.values()}

@@ -121,7 +121,7 @@ class SteadyModel:
             engine_values["c_mlin"] = self.engine.c_mlin * engine_values["c_m1"] / self.engine.c_m[0]
         c = parameter_batch(self.engine, size=lanes, **engine_values).constants()
         t = _Terms({k: np.reshape(v, (-1, 1)) for k, v in values.items() if k not in CONSTANT_NAMES}, self.active,
-                   points.columns, {**dict.fromkeys(self.lasting), **term_values(self.before)})
+                   points.columns, {**dict.fromkeys(self.lasting), **self._always(points)})
         c = c._replace(**{name: getattr(c, name) * (1.0 + t(wear)) for name, wear in WEAR.items() if wear in values})
         entered = self._entered(points, values, lanes)
 
@@ -233,6 +233,11 @@ class SteadyModel:
         """What a reading says where there is one, else what is modelled: a charge of one temperature, while the weather
         and the cooler change it by some per cent from point to point, would be errors of the filling."""
         return modelled if read is None else np.where(np.isfinite(read), read, modelled)
+
+    def _always(self, points: SteadyPoints) -> dict[str, float]:
+        """Magnitudes of the engine's terms by slot that act in all points: of a term that these points were found to
+        have from one of them on, the column says where."""
+        return {slot: size for slot, size in term_values(self.before).items() if f"{SINCE}{slot}" not in points}
 
     def _entered(self, points: SteadyPoints, values: Mapping[str, Any], lanes: int) -> dict[str, Array]:
         """Signals by insertion point, with the smooth errors of maps; points without their columns are elsewhere and

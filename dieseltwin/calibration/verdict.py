@@ -11,6 +11,7 @@ from dieseltwin.calibration.calibrate import Calibration
 from dieseltwin.calibration.coefficients import WEAR, worn
 from dieseltwin.calibration.discover import PointsDiscovery, Round
 from dieseltwin.calibration.likelihood import balance_deviation
+from dieseltwin.calibration.rough_maps import rough_maps_note
 from dieseltwin.calibration.scatter import Scatter
 from dieseltwin.calibration.steady_model import ROWS
 from dieseltwin.discovery.likelihood.fit import Fit as Fitted
@@ -210,6 +211,8 @@ def document(result: PointsDiscovery) -> Discrepancy:
     )  # fmt: skip
     doubts = [*doubts_among(result.calibration.notes), *fit_doubts(made), *_law_notes(result, health),
               *_pipe_notes(result)]  # fmt: skip
+    if result.rough is not None:
+        doubts.append(rough_maps_note(result.rough, result.options.search))
     return with_warnings(made, doubts)
 
 

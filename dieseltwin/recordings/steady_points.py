@@ -106,15 +106,13 @@ class SteadyPoints:
     def __contains__(self, name: str) -> bool:
         return name in self.columns
 
-    @cached_property
+    @cached_property  # a balance of the points asks for it thousands of times
     def usual_charge(self) -> np.ndarray | None:
         """Charge temperature (n,) [K] by how it is read over the ambient where the engine is known to be well (else in
         all points): air that a cooler left some of its compression's heat, mixed with EGR between its coolant's and the
         exhaust's temperature. On a colder day the air is colder and the coolant isn't. None where too few were read.
 
         Points with a column of it keep that (`with_usual_charge`): without the reference nobody knows what was usual.
-
-        Kept: a balance of the points asks for it thousands of times.
         """
         if USUAL_CHARGE in self:
             return self[USUAL_CHARGE]
@@ -131,9 +129,11 @@ class SteadyPoints:
             return None
         return np.asarray(T_0 + along @ np.linalg.lstsq(along[used], (read - T_0)[used], rcond=None)[0])
 
-    def with_usual_charge(self) -> SteadyPoints:
-        """The same with the usual charge as a column where a reference tells it, so that parts of them have it too."""
-        usual = self.usual_charge if JUDGED in self else None
+    def with_usual_charge(self, well: np.ndarray | None = None) -> SteadyPoints:
+        """The same with the usual charge as a column where a reference tells it, so that parts of them have it too;
+        without one the points of a mask `well` (n,) do, if given, the others being off since."""
+        told = self if well is None or JUDGED in self else self.with_columns(**{JUDGED: np.where(well, 0.0, 1.0)})
+        usual = told.usual_charge if JUDGED in told else None
         return self if usual is None else self.with_columns(**{USUAL_CHARGE: usual})
 
     def states(self) -> np.ndarray:

@@ -57,12 +57,13 @@ def settle(model: SteadyModel, data: SteadyPoints, values: Mapping[str, Any], st
 
 def made_points(
     engine: EngineParameters = TRUTH, count: int = 150, noise: float = 0.01, seed: int = 5,
-    effects: Mapping[str, float] | None = None, exhaust_wave: float = 0.0, **fixed: float,
+    effects: Mapping[str, float] | None = None, exhaust_wave: float = 0.0, filling_wave: float = 0.0,
+    **fixed: float,
 ) -> SteadyPoints:  # fmt: skip
     """`count` settled points with relative noise under effects (and coefficients of the flap's law).
 
     Faults of sensors among the effects change the readings; `fixed` holds an input column at one value. The exhaust's
-    temperature is off by `exhaust_wave` times a wave over engine speed.
+    temperature is off by `exhaust_wave` times a wave over engine speed, the volumetric efficiency by `filling_wave`.
     """
     generator = np.random.default_rng(seed)
     n = 3 * count
@@ -72,10 +73,10 @@ def made_points(
     for name, value in fixed.items():
         columns[name] = np.full(n, value)
     data = points(columns, engine, needed=())
-    wave = f"{MAP_MODE}T_em:wave"
-    solved = data.with_columns(**{wave: np.sin(data["n_e_rpm"] / WAVE_RPM)})
+    waves = {f"{MAP_MODE}T_em:wave": exhaust_wave, f"{MAP_MODE}eta_vol:wave": filling_wave}
+    solved = data.with_columns(**dict.fromkeys(waves, np.sin(data["n_e_rpm"] / WAVE_RPM)))
     model = SteadyModel(engine)
-    values = {"h_tot": engine.h_tot, wave: exhaust_wave, **(effects or {})}
+    values = {"h_tot": engine.h_tot, **waves, **(effects or {})}
     load = columns["u_delta_mg"] / 200.0
     p_im = engine.p_amb * (1.1 + 1.7 * load)
     flow = 0.9 * p_im * columns["n_e_rpm"] * engine.V_d / (120.0 * 287.0 * 300.0)

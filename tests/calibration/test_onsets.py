@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -9,11 +12,13 @@ from dieseltwin.calibration import calibrate as module
 from dieseltwin.calibration.calibrate import calibrate
 from dieseltwin.calibration.discover import Options, PointsDiscovery, discover_points
 from dieseltwin.calibration.onsets import FEWEST, may_begin
+from dieseltwin.calibration.saved import answers_of, as_repaired_by, write_repaired
+from dieseltwin.calibration.steady_model import SteadyModel, term_values
 from dieseltwin.calibration.verdict import details, document
 from dieseltwin.engine import we2011
 from dieseltwin.engine.terms import Term
 from dieseltwin.recordings.columns import Columns
-from dieseltwin.recordings.steady_points import SteadyPoints
+from dieseltwin.recordings.steady_points import SINCE, SteadyPoints
 from dieseltwin.report.points import sentence
 from dieseltwin.settings.defaults import default_search
 from tests.calibration.simulated import GEOMETRY, TRUTH, made_points
@@ -60,6 +65,42 @@ def test_the_document_and_the_words_say_since_which_point(found: PointsDiscovery
 def test_the_repaired_engine_is_that_of_the_last_point(found: PointsDiscovery) -> None:
     (term,) = found.engine().terms
     assert isinstance(term, Term) and term.effect == "boost_leak" and term.onset_s is None
+
+
+def test_the_repaired_engine_judges_its_own_points_from_the_onset_on(found: PointsDiscovery, tmp_path: Path) -> None:
+    write_repaired(found, tmp_path / "repaired.yaml")
+    row = found.onsets["boost_leak"].row
+    same = replace(found.calibration.points, sha256="a", notes=())
+    other = replace(same, sha256="b")
+    assert as_repaired_by(tmp_path / "repaired.yaml", same) is same  # it wasn't said which points they were
+    read = replace(found, repaired=replace(found.repaired, points=replace(found.points, sha256="a")))
+    assert as_repaired_by(read, other) is other
+    told = as_repaired_by(read, same)
+    assert "boost_leak (since data row" in told.notes[0]
+    assert np.array_equal(told[f"{SINCE}boost_leak"], same.row >= row)
+    model = SteadyModel(found.engine())
+    x, values = same.states(), {"h_tot": found.engine().h_tot, **term_values(found.engine().terms)}
+    acting, without = model.relations(told, x, values), model.relations(same, x, {**values, "boost_leak": 0.0})
+    before = same.row < row
+    apart = np.abs(acting.residual[0] - without.residual[0])[:, 0]
+    assert apart[before].max() < 2e-4  # the middle flow, by which small ones are damped, is another one
+    assert np.median(apart[~before]) > 0.01
+
+
+def test_what_is_left_near_by_is_told_with_the_onset(found: PointsDiscovery) -> None:
+    local = answers_of(found).first.local
+    assert local is not None and f"{SINCE}boost_leak" in local.points
+    left, acts = local.residual(answers_of(found).first.values)[0][:, 0], local.points[f"{SINCE}boost_leak"] > 0.5
+    assert abs(left[acts].mean() - left[~acts].mean()) < 0.01
+
+
+def test_a_charge_that_reads_too_much_since_a_point_leaves_nothing_else() -> None:
+    generator = np.random.default_rng(2)
+    made = made_points(TRUTH, count=80, noise=0.004)
+    charge = TRUTH.T_im + 0.4 * generator.standard_normal(made.size) + np.where(np.arange(made.size) < 40, 0.0, 12.0)
+    found = discovered(made.with_columns(t_im_k=charge))
+    magnitude, std = found.effects["t_im_k:offset"]
+    assert magnitude == pytest.approx(12.0, abs=2.0 * std) and not found.more_is_missing
 
 
 def test_points_in_an_order_of_their_own_say_nothing_of_an_onset() -> None:
