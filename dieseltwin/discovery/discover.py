@@ -19,6 +19,7 @@ from dieseltwin.discovery.search.quick_inputs import share_left
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.diesel_circumstances import LoggedTwin
 from dieseltwin.discovery.twins.several import Occasion, SeveralTwin
+from dieseltwin.discovery.verdict.another_engine import of_another_engine
 from dieseltwin.discovery.verdict.assemble import assemble
 from dieseltwin.discovery.verdict.checks import misfit_of
 from dieseltwin.discovery.verdict.curves import Discovery
@@ -122,6 +123,7 @@ def discover(
         result = _beside_reference(result, reference_std(learned, options.circumstances))
     runtime = {**found.seconds, "other_searches": max(others, 0.0), "total": time.perf_counter() - clock}
     doubts = [] if learned is not None else _of_rough_maps(options.map_tolerance, result)
+    doubts += of_another_engine(found, days) if result.document.mismatch else []
     return replace(_with_doubts(result, found, engine, [day.recording for day in days], doubts), runtime=runtime)
 
 

@@ -78,12 +78,17 @@ def rounded(value: float) -> float:
     return float(f"{np.maximum(np.round(value / power), 1.0) * power:.6g}")
 
 
-def describe(name: str, values: Array, unit: str) -> Variable:
-    """A variable's reference and range."""
+def describe(name: str, values: Array, unit: str, recordings: Sequence[slice] = ()) -> Variable:
+    """A variable's reference and range.
+
+    What stands still within each of several recordings (their samples (n,); ambient, charge) is a constant: two
+    functions of it give two recordings two sizes, by terms that cancel but for that and are huge on another day.
+    """
     finite = values[np.isfinite(values)]
     size = float(np.median(np.abs(finite)))
     spread = float(np.std(finite))
-    if spread <= 1e-9 * max(size, 1e-300):
+    spans = [float(np.ptp(part)) for rows in recordings if (part := values[rows][np.isfinite(values[rows])]).size]
+    if spread <= 1e-9 * max(size, 1e-300) or max(spans, default=np.inf) <= 1e-9 * max(size, 1e-300):
         return Variable(name, unit, rounded(size), False, ())
     low, high = np.quantile(finite, (0.01, 0.99))
     signed = bool(low < -0.02 * spread and high > 0.02 * spread and low * high < 0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ from dieseltwin.discovery.laws.grammar import (
 )
 from dieseltwin.discovery.laws.responses import PointResponse, Responses
 from dieseltwin.discovery.laws.twin import Placed
-from dieseltwin.discovery.twins.interface import Array, Point, Twin, law_scope_of
+from dieseltwin.discovery.twins.interface import Array, OverRecordings, Point, Twin, law_scope_of
 
 _BEAM = (24, 10)  # forms of one and of two factors that are multiplied by every further one
 _KEPT = 24  # forms of a point that compete over all, and for pairs
@@ -104,7 +105,7 @@ def rank(
     field = _Field(
         twin, {name: np.asarray(values) for name, values in variables.items()},
         {**scope.units, **dict.fromkeys(TIMES, "s")}, None if scope.kinds is None else frozenset(scope.kinds),
-        float(np.log(responses.at.whitening.present.sum())), len(chosen), since_s,
+        float(np.log(responses.at.whitening.present.sum())), len(chosen), since_s, _recordings_of(twin),
     )  # fmt: skip
     admitted = variables.keys() if scope.variables is None else variables.keys() & set(scope.variables)
     out: list[Ranked] = []
@@ -126,6 +127,7 @@ class _Field:
         log_readings: logarithm of the number of readings, the extended BIC's price of a coefficient.
         points: number of points among which a law is chosen.
         since_s: from when on it acts [s]; None: always.
+        recordings: samples of each of several; none for a single one.
     """
 
     twin: Twin
@@ -135,6 +137,7 @@ class _Field:
     log_readings: float
     points: int
     since_s: float | None = None
+    recordings: tuple[slice, ...] = ()
 
     def tries(self, kind: str) -> bool:
         """Whether factors of a kind are tried."""
@@ -148,7 +151,7 @@ class _AtPoint:
         self.field, self.index, self.response = field, index, response
         self.point = point = field.twin.points[index]
         known = {
-            name: describe(name, field.variables[name], unit_of(name, field.units))
+            name: describe(name, field.variables[name], unit_of(name, field.units), field.recordings)
             for name in arguments(point) if name in admitted and np.isfinite(field.variables[name]).any()
         }  # fmt: skip
         self.pool = [factor for factor in factors(arguments(point), known) if field.tries(factor.kind)]
@@ -233,6 +236,14 @@ class _AtPoint:
         bumped = sum(factor.kind == "bump" for factor in form.factors)
         of_pool, of_local = (2.0 * np.log(max(len(pool), 2)) for pool in (self.pool, self.local))
         return float(common + (of_pool * (len(form.factors) - bumped) + of_local * bumped))
+
+
+def _recordings_of(twin: Twin) -> tuple[slice, ...]:
+    """Samples of each of a twin's recordings, one behind the other; none for a single one."""
+    if not isinstance(twin, OverRecordings):
+        return ()
+    edges = np.cumsum([0, *(part.time_s.size for part in twin.parts)]).tolist()
+    return tuple(slice(a, b) for a, b in pairwise(edges))
 
 
 def _trimmed(items: list[_Scored]) -> list[_Scored]:

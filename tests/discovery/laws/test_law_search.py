@@ -327,3 +327,13 @@ def test_lanes_settle_together_as_one_by_one():
         alone = LawTwin(_Plain(base), [placed]).simulate(one)[0]
         assert np.max(np.abs(together[k] - alone)) < 1e-5 * np.max(np.abs(alone))
     assert np.max(np.abs(together[1] - together[0])) > 1e-9  # a difference is more than what is left to settle
+
+
+def test_what_stands_still_in_each_recording_is_no_argument_of_a_law():
+    """Two functions of the weather of two recordings are two sizes: huge, and cancelling but for these."""
+    weather = np.repeat([280.0, 295.0], 50)
+    together = describe("T_amb", weather, "K", (slice(0, 50), slice(50, 100)))
+    assert not together.thresholds and not factors(["T_amb"], {"T_amb": together})
+    drifting = weather + np.linspace(0.0, 5.0, 100)
+    assert describe("T_amb", drifting, "K", (slice(0, 50), slice(50, 100))).thresholds
+    assert describe("T_amb", weather, "K", (slice(0, 100),)).thresholds  # one recording in which it moved
