@@ -184,7 +184,7 @@ def _learn_diesel(
         further = Further(*np.mean([astuple(one.further) for one in others.values()], axis=0).tolist())
         prior = belief_from_siblings(beliefs, base, size, settings.type_share, further)
     known, found = learn_engine(sources, base, size, before, settings, prior)
-    for source in known.recordings:
+    for source in sorted(known.recordings, key=lambda one: one.path is None):  # those of now first: they have files
         _check_misfit(known, source, settings.misfit_max)
     least = settings.suspicious_gain
     suspected = [*_suspected(found, [*sources, *known.recordings]),

@@ -36,6 +36,7 @@ COEFFICIENT_STEP = 1e-4  # of a prior standard deviation
 STEEPEST = 200.0  # d ln r/d ln x is cut there: a speed line that is flat
 STEP = 1e-4  # of coefficients and of the cost, relative: a step of the minimiser that changes less is the last one
 SETTLED = 0.03  # prior standard deviations: an iteration that changes less is the last one
+SETTLED_ERRORS = 0.03  # relative, of each relation's own error: likewise
 CURVATURE = 1.0  # second-order error of a relation over the square of the noise that it carries [-]
 LARGEST_SHIFT = 0.3  # of ln x in one iteration
 ROBUST = 2.0  # whitened residuals beyond this count ever less
@@ -241,8 +242,8 @@ def estimate(
         theta = solution.x * std + mean
         values.update({c.name: float(t) for c, t in zip(coefficients, theta, strict=True)})
         x = _reconciled(model, points, x, measured, values, linear, sigma)
-        S = np.maximum(_discrepancy(model, points, x, values, S, linear), least)
-        if change < SETTLED and iteration >= 3:
+        before, S = S, np.maximum(_discrepancy(model, points, x, values, S, linear), least)
+        if change < SETTLED and iteration >= 3 and np.all(np.abs(S - before) < SETTLED_ERRORS * before):
             break
         if inflate and iteration >= 2:
             inflation = correlation_inflation(points, linear.whitened(model.relations(points, x, values).residual[0]))

@@ -16,8 +16,9 @@ from dieseltwin.discovery.likelihood.windows import bounded, settled_windows
 from dieseltwin.discovery.reference.conditions import Clock, Conditions, recorded_twin
 from dieseltwin.discovery.search.preparation import split_growing
 from dieseltwin.discovery.twins.interface import Array, rows_of, single
-from dieseltwin.engine import MEASURED, EngineParameters
+from dieseltwin.engine import HEALTH, MEASURED, EngineParameters
 from dieseltwin.engine.terms import Term
+from dieseltwin.errors import InputError
 from dieseltwin.learning.belief import GAINS_AT, HEALTH_AT, MAPS_AT, OFFSETS_AT, Belief
 from dieseltwin.least_squares import symmetric_root
 from dieseltwin.recordings.noise import estimate_noise
@@ -71,13 +72,14 @@ class Part:
     """A recording, bound to the base engine; points `x` (D,) are in prior standard deviations about the prior's mean.
 
     Attributes:
+        name: file of the recording, for people.
         health: (4,) of a fit of health alone, where learning starts.
         local: (W, 1) initial states.
         left_out: (W,) windows that are not used.
     """
 
     def __init__(self, recording: Recording, engine: EngineParameters, prior: Belief, map_rms: float) -> None:
-        self.sha256 = recording.sha256
+        self.sha256, self.name = recording.sha256, str(recording.path or "recording")
         self.twin = recorded_twin(recording, engine, map_rms)
         self.conditions = Conditions(self.twin)
         self.at = [MEASURED.index(name) for name in self.twin.channels]
@@ -154,8 +156,12 @@ class Part:
 
         Nought in a window in which they run away. On the way from maps that are 5 % off, idling surged in a quarter of
         the windows: there every difference grows manyfold from row to row, to 1e43 of a reading.
+
+        Raises:
+            InputError: a health parameter at or below nought, which no engine has.
         """
         values = self._values(x)
+        self._check_health(values[HEALTH_AT])
         twin = self.twin.with_coefficients(values[MAPS_AT])
         fit = replace(first_fit(twin), parameters=values[HEALTH_AT], local=self.local)
         lanes, steps = parameter_lanes(twin, fit)
@@ -250,3 +256,13 @@ class Part:
 
     def _values(self, x: Array) -> Array:
         return self.prior.mean + self.scale * x
+
+    def _check_health(self, health: Array) -> None:
+        """Refuse to go on where the readings ask for what no engine has, as idling alone does."""
+        for name, value in zip(HEALTH, health, strict=True):
+            if value <= 0.0:
+                raise InputError(
+                    self.name, f"readings that ask for {name} = {value:.3g}",
+                    "driving that tells health: it is above 0",
+                    "record load and speed, not idling alone, and check that columns and units are right",
+                )  # fmt: skip

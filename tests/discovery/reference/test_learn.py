@@ -16,6 +16,7 @@ from dieseltwin.discovery.reference import part as part_module
 from dieseltwin.discovery.reference.learn import Learned, _Joint, combined, learn, learn_engine
 from dieseltwin.discovery.reference.part import Part
 from dieseltwin.engine import HEALTH, we2011
+from dieseltwin.errors import InputError
 from dieseltwin.learning.belief import HEALTH_AT, MAPS_AT, NOTHING_FURTHER, prior_belief
 from dieseltwin.recordings.reader import Recording, recording
 from dieseltwin.settings.defaults import default_learn
@@ -131,3 +132,11 @@ def test_a_fault_that_no_map_takes_up_is_suspected():
     offset = Fault("p_im_offset", 1e4)
     first = learn([_recording(1, offset)], we2011.PARAMETERS, MAP_RMS).suspicions[0]
     assert first.name == offset.effect and abs(first.magnitude - offset.magnitude) < 3.0 * first.std
+
+
+def test_readings_that_ask_for_no_engine_are_refused_by_the_recording(recordings):
+    part = Part(recordings[0], we2011.PARAMETERS, prior_belief(we2011.PARAMETERS, MAP_RMS), MAP_RMS)
+    far = np.zeros(part.scale.size)
+    far[HEALTH_AT] = -100.0  # standard deviations of what is believed
+    with pytest.raises(InputError, match=r"recording: got readings that ask for A_egrmax = -.*not idling alone"):
+        part.linearised(far)
