@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -105,7 +104,8 @@ def rank(
     field = _Field(
         twin, {name: np.asarray(values) for name, values in variables.items()},
         {**scope.units, **dict.fromkeys(TIMES, "s")}, None if scope.kinds is None else frozenset(scope.kinds),
-        float(np.log(responses.at.whitening.present.sum())), len(chosen), since_s, _recordings_of(twin),
+        float(np.log(responses.at.whitening.present.sum())), len(chosen), since_s,
+        twin.rows if isinstance(twin, OverRecordings) else (),
     )  # fmt: skip
     admitted = variables.keys() if scope.variables is None else variables.keys() & set(scope.variables)
     out: list[Ranked] = []
@@ -137,7 +137,7 @@ class _Field:
     log_readings: float
     points: int
     since_s: float | None = None
-    recordings: tuple[slice, ...] = ()
+    recordings: Sequence[slice] = ()
 
     def tries(self, kind: str) -> bool:
         """Whether factors of a kind are tried."""
@@ -236,14 +236,6 @@ class _AtPoint:
         bumped = sum(factor.kind == "bump" for factor in form.factors)
         of_pool, of_local = (2.0 * np.log(max(len(pool), 2)) for pool in (self.pool, self.local))
         return float(common + (of_pool * (len(form.factors) - bumped) + of_local * bumped))
-
-
-def _recordings_of(twin: Twin) -> tuple[slice, ...]:
-    """Samples of each of a twin's recordings, one behind the other; none for a single one."""
-    if not isinstance(twin, OverRecordings):
-        return ()
-    edges = np.cumsum([0, *(part.time_s.size for part in twin.parts)]).tolist()
-    return tuple(slice(a, b) for a, b in pairwise(edges))
 
 
 def _trimmed(items: list[_Scored]) -> list[_Scored]:

@@ -11,7 +11,7 @@ from copy import copy
 
 import numpy as np
 
-from dieseltwin.discovery.likelihood.fit import Candidate
+from dieseltwin.discovery.likelihood.fit import Candidate, Fit
 from dieseltwin.discovery.likelihood.learned import LearnedTwin
 from dieseltwin.discovery.likelihood.refit import refit_all
 from dieseltwin.discovery.likelihood.score import best_of_each
@@ -44,16 +44,26 @@ def _as_believed(part: Twin) -> Twin:
     """A recording's twin about the belief's mean, without what was given up of it together with the others."""
     if isinstance(part, LearnedTwin) and part.belief is not None:
         return part.deviating(np.zeros_like(part.deviation), np.zeros_like(part.moved))
+    return with_own_readings(part)
+
+
+def with_own_readings(part: Twin) -> Twin:
+    """A recording's twin with readings of its own: a search moves them, and those of `part` belong to another one."""
     apart = copy(part)
     apart.measured = part.measured.copy()
     return apart
 
 
-def _left(twin: Twin, settings: SearchSettings, enough: float) -> float:
+def refits_alone(twin: Twin, settings: SearchSettings) -> tuple[Search, list[Fit]]:
+    """A recording's own search as it begins, and the refits of the effects that lead there."""
     own = prepare(twin, settings)
-    readings = float(own.whitening.present.sum())
     kept = best_of_each(own.scored)[:_REFITTED]
-    fits = refit_all(own.null, [Candidate((s.name,)) for s in kept], [s.response[None] for s in kept])
+    return own, refit_all(own.null, [Candidate((s.name,)) for s in kept], [s.response[None] for s in kept])
+
+
+def _left(twin: Twin, settings: SearchSettings, enough: float) -> float:
+    own, fits = refits_alone(twin, settings)
+    readings = float(own.whitening.present.sum())
     least = min((own.null.fit, *fits), key=lambda fit: fit.objective)
     if least.objective <= enough * readings:
         return least.objective / readings

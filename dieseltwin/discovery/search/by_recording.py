@@ -9,15 +9,13 @@ the recordings find one by one.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, fit_fully, simulate_fits
 from dieseltwin.discovery.likelihood.refit import refit_all
-from dieseltwin.discovery.likelihood.score import best_of_each
-from dieseltwin.discovery.search.preparation import prepare
+from dieseltwin.discovery.search.alone import refits_alone, with_own_readings
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.search.variant_fits import in_order
 from dieseltwin.discovery.search.variants import Variant
@@ -26,7 +24,6 @@ from dieseltwin.settings.search import SearchSettings
 
 _TRIED = 5  # names, the best by the sum of what they gain in each recording
 _LEAST_GAIN = 9.0  # of that sum: by chance the best of some thirty names has as much in one recording
-_REFITTED = 8  # of each recording's names
 _ROUNDS = 8
 _LEADING = 3  # are refitted again where what is open of the maps is linearised anew
 
@@ -115,11 +112,7 @@ def gained_elsewhere(null: Linearisation, fit: Fit) -> float:
 
 def _singles(part: Twin, settings: SearchSettings) -> dict[str, tuple[float, Fit]]:
     """Gain and refit of the leading effects in one recording, the health-only fit under the name ''."""
-    apart = copy(part)
-    apart.measured = part.measured.copy()
-    own = prepare(apart, settings)
-    kept = best_of_each(own.scored)[:_REFITTED]
-    fits = refit_all(own.null, [Candidate((s.name,)) for s in kept], [s.response[None] for s in kept])
+    own, fits = refits_alone(with_own_readings(part), settings)
     out = {fit.candidate.names[0]: (max(own.gain(fit), 0.0), fit) for fit in fits}
     return {**out, "": (0.0, own.null.fit)}
 

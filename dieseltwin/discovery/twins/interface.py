@@ -313,11 +313,14 @@ class OverRecordings(Twin, Protocol):
     Attributes:
         parts: a twin of each recording by itself; `parameters` are those of all, one recording's behind the other's.
         factors: way in which a size may differ -> (R,) factor of the effect's magnitude.
-        profiles: the same for every sample, (n,).
+        profiles: the same for every sample, (n,); rows: samples of each recording.
     """
 
     @property
     def parts(self) -> Sequence[Twin]: ...
+
+    @property
+    def rows(self) -> Sequence[slice]: ...
 
     @property
     def factors(self) -> Mapping[str, Array]: ...

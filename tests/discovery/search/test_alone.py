@@ -22,6 +22,7 @@ class _Two(Toy):
         self.factors: dict[str, np.ndarray] = {}
         self.profiles: dict[str, np.ndarray] = {}
         self.parts = parts
+        self.rows = [slice(0, parts[0].time_s.size), slice(parts[0].time_s.size, self.time_s.size)]
 
 
 def _recorded(seed: int, gain: float = 1.0, leak: float = 0.0, bent: float = 0.0) -> Toy:
