@@ -15,7 +15,7 @@ from dieseltwin.discovery.laws.grammar import Factor, Form
 from dieseltwin.discovery.laws.ranking import Ranked
 from dieseltwin.discovery.laws.refit import refit_all_laws
 from dieseltwin.discovery.laws.terms import law_terms_of
-from dieseltwin.discovery.laws.twin import LawTwin, Placed
+from dieseltwin.discovery.laws.twin import LawTwin, Placed, before
 from dieseltwin.discovery.likelihood.fit import first_fit, fit_fully
 from dieseltwin.discovery.options import Options
 from dieseltwin.discovery.search.preparation import prepare
@@ -68,6 +68,19 @@ def test_a_law_is_simulated_as_the_effect_and_as_its_term_of_the_engine_file(loa
     moved = np.sqrt(np.mean((faulty - healthy) ** 2, axis=0))
     for other in (of_law, of_file):
         assert np.all(np.sqrt(np.mean((other - faulty) ** 2, axis=0)) < 0.01 * moved)
+
+
+def test_a_law_that_turns_most_of_its_own_change_round_settles(loads: Recording) -> None:
+    """A filter's pressure follows the flow that it throttles. Half-settled signals made objectives uncertain by 2, and
+    fits wandered about there for minutes."""
+    form = Form("p_bc", (Factor("power", ("W_c",), (0.2,), 2.0, ("kg/s",)),))
+    twin = EngineTwin(loads, PARAMETERS)
+    law = LawTwin(twin, [Placed(form, -0.06)])
+    nominal = np.array([p.value for p in twin.parameters])
+    lanes = single(np.append(nominal, 0.06), first_fit(twin).local)
+    (signal,) = law.signals(lanes)
+    said = -0.06 * form.value(before({**law.variables(lanes), "time_s": twin.time_s}, "p_bc"))
+    assert np.max(np.abs(signal - said)) < 1e-5 * np.max(np.abs(said))
 
 
 def test_steps_of_a_refit_lead_to_the_minimum() -> None:
