@@ -184,8 +184,7 @@ def _learn_diesel(
         further = Further(*np.mean([astuple(one.further) for one in others.values()], axis=0).tolist())
         prior = belief_from_siblings(beliefs, base, size, settings.type_share, further)
     known, found = learn_engine(sources, base, size, before, settings, prior)
-    for source in sorted(known.recordings, key=lambda one: one.path is None):  # those of now first: they have files
-        _check_misfit(known, source, settings.misfit_max)
+    _check_misfits(known, settings.misfit_max)
     least = settings.suspicious_gain
     suspected = [*_suspected(found, [*sources, *known.recordings]),
                  *suspected_faults(known, least, bool(found.suspicions))]  # fmt: skip
@@ -337,11 +336,16 @@ def corrected_maps(learned: LearnedEngine) -> list[CorrectedMap]:
     return rows
 
 
-def _check_misfit(known: LearnedEngine, source: Recording, most: float) -> None:
-    misfit = known.misfits[source.sha256]
-    if misfit > most:
+def _check_misfits(known: LearnedEngine, most: float) -> None:
+    """Refuse recordings that aren't explained with all maps corrected; the one that fits worst is named, of those of
+    now before earlier ones. A recording of another engine bends the maps that it shares, and the others' misfit grows.
+    """
+    strange = [one for one in known.recordings if known.misfits[one.sha256] > most]
+    if strange:
+        worst = max(strange, key=lambda one: (one.path is not None, known.misfits[one.sha256]))
         raise InputError(
-            str(source.path or "recording"), f"{misfit:.2f} times the noise is left with all maps corrected",
+            str(worst.path or "recording"),
+            f"{known.misfits[worst.sha256]:.2f} times the noise is left with all maps corrected",
             f"up to {most:g} for a healthy engine of this kind",
             "check that it is this engine, that it was well, and that its columns and units are right",
         )  # fmt: skip

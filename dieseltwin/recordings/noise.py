@@ -57,15 +57,25 @@ class CutOff:
 
 @dataclass(frozen=True)
 class Noise:
-    """Stationary AR(1) noise per channel.
+    """Stationary AR(1) noise per channel, or of each reading where it isn't the same in all.
 
     Attributes:
-        sigma: (C,) standard deviation [unit of the channel].
-        rho: (C,) correlation of neighbouring samples [-].
+        sigma: (C,) or (n, C) standard deviation [unit of the channel].
+        rho: (C,) or (n, C) correlation of neighbouring samples [-].
     """
 
     sigma: Array
     rho: Array
+
+    @property
+    def overall(self) -> Noise:
+        """(C,) of each: the root of the mean variance of all readings, and the mean correlation."""
+        if self.sigma.ndim == 1:
+            return self
+        known = np.isfinite(self.sigma)
+        count = np.maximum(known.sum(axis=0), 1)
+        square, rho = (np.where(known, of, 0.0).sum(axis=0) / count for of in (self.sigma**2, self.rho))
+        return Noise(np.where(known.any(axis=0), np.sqrt(square), np.nan), rho)
 
 
 def white_sigma(values: Array) -> float:

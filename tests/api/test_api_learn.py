@@ -14,7 +14,7 @@ import dieseltwin as dt
 from dieseltwin.api.discovery import ask
 from dieseltwin.api.driving import DrivingQuestion
 from dieseltwin.api.identification import ask as ask_to_identify
-from dieseltwin.api.learning import LearnedResult, _in_its_unit
+from dieseltwin.api.learning import LearnedResult, _check_misfits, _in_its_unit
 from dieseltwin.api.points import _MEAN_MAPS, PointsQuestion
 from dieseltwin.discovery.fit_test import examine
 from dieseltwin.discovery.reference.learn import Learned
@@ -51,6 +51,27 @@ def test_what_learn_gave_is_as_good_as_its_file(tmp_path: Path) -> None:
     first, second = (cast(DrivingQuestion, ask(judged, engine)) for engine in (file, given))
     assert first.known is not None and second.known is known
     assert second.parameters == first.parameters == known.engine
+
+
+def test_the_recording_that_fits_worst_is_refused(tmp_path: Path) -> None:
+    """It was the one whose hash came first: one of another engine bends the maps that all share."""
+    known = load_learned(learned_file(tmp_path))
+    assert known is not None
+    named = [(f"{k}.csv", replace(known.recordings[0], sha256=str(k), path=Path(f"{k}.csv"))) for k in range(3)]
+    earlier = replace(known.recordings[0], sha256="earlier", path=None)
+
+    def refused(misfits: dict[str, float]) -> str | None:
+        recordings = (earlier, *(item for _, item in named))
+        try:
+            _check_misfits(replace(known, recordings=recordings, misfits=misfits), 1.6)
+        except InputError as error:
+            return error.what
+        return None
+
+    assert refused({"earlier": 1.0, "0": 1.7, "1": 2.0, "2": 1.1}) == "1.csv"
+    assert refused({"earlier": 2.5, "0": 1.1, "1": 1.2, "2": 1.7}) == "2.csv"  # what came last made it so
+    assert refused({"earlier": 2.5, "0": 1.1, "1": 1.2, "2": 1.1}) == "recording"
+    assert refused({"earlier": 1.6, "0": 1.1, "1": 1.2, "2": 1.1}) is None
 
 
 def test_the_repaired_engine_keeps_what_was_learned(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from typing import cast
 
 import numpy as np
 
-from dieseltwin.discovery.likelihood.between_rows import noise_beside, scatter_about, widened
+from dieseltwin.discovery.likelihood.between_rows import scatter_about, widened
 from dieseltwin.discovery.likelihood.circumstances import at_estimates, circumstance_nuisances
 from dieseltwin.discovery.likelihood.fit import (
     Candidate,
@@ -30,6 +30,7 @@ from dieseltwin.discovery.likelihood.learned import (
     rebased_learned,
 )
 from dieseltwin.discovery.likelihood.metric import ModelScatter, Whitening
+from dieseltwin.discovery.likelihood.noise import noise_of
 from dieseltwin.discovery.likelihood.nuisance import (
     LEADING,
     Detail,
@@ -44,7 +45,7 @@ from dieseltwin.discovery.search.bends import bent_windows
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.interface import Array, Twin, rows_of
 from dieseltwin.errors import InputError
-from dieseltwin.recordings.noise import Noise, estimate_noise
+from dieseltwin.recordings.noise import Noise
 from dieseltwin.settings.search import SearchSettings
 
 _VERIFIED = 3  # of the leading fits
@@ -72,7 +73,7 @@ def prepare(twin: Twin, settings: SearchSettings, beside: Fit | None = None) -> 
     if not _tried(twin, settings):
         raise InputError("withhold", "every effect that this machine has", "fewer", "leave one or more to be tried")
     readings = twin.measured.copy()
-    noise = twin.noise() if isinstance(twin, KnownErrors) else estimate_noise(twin.measured)
+    noise = twin.noise() if isinstance(twin, KnownErrors) else noise_of(twin)
     whitening = _whitening(twin, noise)
     rough = fit_fully(twin, whitening, beside or first_fit(twin), rounds=5)
     start = split_growing(rough)
@@ -82,8 +83,7 @@ def prepare(twin: Twin, settings: SearchSettings, beside: Fit | None = None) -> 
     scatter = scatter_about(twin, rough.fit.lanes())
     if not isinstance(twin, KnownErrors):
         # correlation can only be told once the signal is explained; only the fast part of the misfit is used
-        noise = estimate_noise(twin.measured, explained=rough.simulated)
-        noise = noise_beside(noise, rough.residual, twin.starts, scatter.windows)
+        noise = noise_of(twin, rough.simulated, scatter.windows)
     whitening = _whitening(twin, noise, scatter)
     nuisances = tolerances(twin, rough, settings)
     nuisance = nuisance_responses(twin, rough.fit.lanes(), rough.simulated, nuisances)

@@ -6,9 +6,9 @@ import numpy as np
 
 from dieseltwin.discovery.likelihood.between_rows import WithInputsToOpen
 from dieseltwin.discovery.likelihood.metric import Whitening
+from dieseltwin.discovery.likelihood.noise import noise_of
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.interface import Twin
-from dieseltwin.recordings.noise import estimate_noise
 
 _NOISE_LEAVES = (0.97, 1.075)  # of chi-square a reading, where an explanation is right
 
@@ -50,6 +50,5 @@ def share_left(found: Search) -> float:
         simulated = twin.simulate(fit.lanes())[0]
     residual = null.without_nuisances(np.nan_to_num(found.twin.measured - simulated))
     measured = found.twin.measured
-    noise = estimate_noise(measured, explained=measured - residual)
-    whitening = Whitening.of(measured, noise, found.twin.starts, found.scatter)
+    whitening = Whitening.of(measured, noise_of(found.twin, measured - residual), found.twin.starts, found.scatter)
     return float((whitening.apply(residual[None])[0] ** 2).sum()) / max(float(whitening.present.sum()), 1.0)

@@ -24,6 +24,7 @@ from dieseltwin.discovery.likelihood.fit import (
     simulate_fits,
 )
 from dieseltwin.discovery.likelihood.metric import Metric, Whitening
+from dieseltwin.discovery.likelihood.noise import noise_of
 from dieseltwin.discovery.likelihood.refit import scatter, widen
 from dieseltwin.discovery.search.courses import MOST, Parts
 from dieseltwin.discovery.search.explanations import look_at_what_is_left
@@ -34,7 +35,6 @@ from dieseltwin.discovery.search.sums import LEAST_SHARE
 from dieseltwin.discovery.search.variants import SECOND_EDGE, Variant
 from dieseltwin.discovery.twins.interface import Array, Lanes, Twin, WithCourses, rows_of
 from dieseltwin.discovery.twins.windows import window_of_rows
-from dieseltwin.recordings.noise import estimate_noise
 from dieseltwin.settings.search import SearchSettings
 
 _POSITIONS = np.array([0.1, 3.0, 10.0, 20.0, 25.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0, 90.0, 100.0])  # tried first [%]
@@ -87,7 +87,7 @@ def worth_trying(found: Search) -> bool:
     if least is None or not names_of(found.twin, found.settings):
         return False
     twin, null = found.twin, found.null
-    whitening = Whitening.of(twin.measured, estimate_noise(twin.measured), twin.starts)  # not what the misfit made it
+    whitening = Whitening.of(twin.measured, noise_of(twin), twin.starts)  # not what the misfit made it
     metric = Metric(whitening, twin.starts, null.local_response, twin.state_scales)
     rows = metric.without_local(np.nan_to_num(null.residual)[None])[0]
     return bool(rows @ rows > least * whitening.present.sum())
@@ -101,7 +101,7 @@ def standing_valve(twin: Twin, settings: SearchSettings) -> Standing | None:
         settings: `standing_share`, `withhold`.
     """
     names = names_of(twin, settings)
-    whitening = Whitening.of(twin.measured, estimate_noise(twin.measured), twin.starts)
+    whitening = Whitening.of(twin.measured, noise_of(twin), twin.starts)
     readings = float(whitening.present.sum())
     first = first_fit(twin)
     at = Linearisation(twin, whitening, first)
@@ -142,7 +142,7 @@ def _starts(at: Linearisation, null: Fit) -> Iterator[Fit]:
 
 def _fit(at: Linearisation, out: np.ndarray, start: Fit) -> Fit:
     """A fit without some rows (n,), and without windows that alone tell a parameter; its start where none is found."""
-    twin, noise = at.twin, estimate_noise(at.twin.measured)
+    twin, noise = at.twin, noise_of(at.twin)
     for _ in range(_KINKS):
         whitening = Whitening.of(np.where(out[:, None], np.nan, twin.measured), noise, twin.starts)
         try:

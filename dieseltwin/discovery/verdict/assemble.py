@@ -85,7 +85,7 @@ def assemble(
     rows = candidate_rows(found)
     curves = Curves(
         time_s=twin.recording_time_s, channels=twin.channels, measured=twin.measured, before=null.simulated,
-        after=after, sigma=found.noise.sigma, evidence_over_time=_by_window(found, evidence),
+        after=after, sigma=found.noise.overall.sigma, evidence_over_time=_by_window(found, evidence),
         evidence_map=dict(twin.conditions), evidence=evidence, candidates=rows, laws=_law_curves(found, twin),
         tolerance={name: h.tolerance for name, h in twin.hypotheses.items()},
         units={name: h.unit for name, h in twin.hypotheses.items()}, held_out=_held_rows(found),
@@ -305,13 +305,14 @@ def _law_curves(found: Search, twin: EngineTwin | SeveralTwin) -> list[LawCurve]
 
 def details_of_search(found: Search, rows: list[CandidateRow], best: Linearisation | None) -> dict[str, Any]:
     """What a search is worth keeping for `details.json`."""
+    noise = found.noise.overall
     return {
         "kind": found.kind,
         "threshold": found.chance.threshold(found.settings.alarm_level),
         "equivalent_gain": found.settings.equivalent_gain,
         "noise": {
             name: {"sigma": float(s), "rho": float(r)}
-            for name, s, r in zip(found.twin.channels, found.noise.sigma, found.noise.rho, strict=True)
+            for name, s, r in zip(found.twin.channels, noise.sigma, noise.rho, strict=True)
         },
         "windows": int(found.twin.starts.size),
         "converged": {"before": bool(found.null.fit.converged), "after": bool((best or found.null).fit.converged)},
