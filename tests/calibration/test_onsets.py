@@ -12,7 +12,7 @@ from dieseltwin.calibration import calibrate as module
 from dieseltwin.calibration.calibrate import calibrate
 from dieseltwin.calibration.discover import Options, PointsDiscovery, discover_points
 from dieseltwin.calibration.onsets import FEWEST, may_begin
-from dieseltwin.calibration.saved import answers_of, as_repaired_by, write_repaired
+from dieseltwin.calibration.saved import answers_of, as_repaired_by, load_repaired, write_repaired
 from dieseltwin.calibration.steady_model import SteadyModel, term_values
 from dieseltwin.calibration.verdict import details, document
 from dieseltwin.engine import we2011
@@ -74,8 +74,11 @@ def test_the_repaired_engine_judges_its_own_points_from_the_onset_on(found: Poin
     other = replace(same, sha256="b")
     assert as_repaired_by(tmp_path / "repaired.yaml", same) is same  # it wasn't said which points they were
     read = replace(found, repaired=replace(found.repaired, points=replace(found.points, sha256="a")))
-    assert as_repaired_by(read, other) is other
-    told = as_repaired_by(read, same)
+    write_repaired(read, tmp_path / "repaired.yaml")
+    assert as_repaired_by(tmp_path / "repaired.yaml", other) is other
+    told = as_repaired_by(tmp_path / "repaired.yaml", same)
+    by_imply = load_repaired(tmp_path / "repaired.yaml").acting(same)
+    assert told.notes == by_imply.notes and np.array_equal(told[f"{SINCE}boost_leak"], by_imply[f"{SINCE}boost_leak"])
     assert "boost_leak (since data row" in told.notes[0]
     assert np.array_equal(told[f"{SINCE}boost_leak"], same.row >= row)
     model = SteadyModel(found.engine())
