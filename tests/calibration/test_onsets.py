@@ -14,6 +14,7 @@ from dieseltwin.calibration.discover import Options, PointsDiscovery, discover_p
 from dieseltwin.calibration.onsets import FEWEST, may_begin
 from dieseltwin.calibration.saved import answers_of, as_repaired_by, load_repaired, write_repaired
 from dieseltwin.calibration.steady_model import SteadyModel, term_values
+from dieseltwin.calibration.told_apart import sensor_notes
 from dieseltwin.calibration.verdict import details, document
 from dieseltwin.engine import we2011
 from dieseltwin.engine.terms import Term
@@ -104,6 +105,8 @@ def test_a_charge_that_reads_too_much_since_a_point_leaves_nothing_else() -> Non
     found = discovered(made.with_columns(t_im_k=charge))
     magnitude, std = found.effects["t_im_k:offset"]
     assert magnitude == pytest.approx(12.0, abs=2.0 * std) and not found.more_is_missing
+    (note,) = sensor_notes(found)  # a charge of one temperature: 4 % too much is 12 K too much
+    assert note.affects == ("t_im_k",) and "can't be told apart" in note
 
 
 def test_points_in_an_order_of_their_own_say_nothing_of_an_onset() -> None:
