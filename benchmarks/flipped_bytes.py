@@ -151,7 +151,7 @@ def points_kinds(folder: Path) -> list[Kind]:
     import pandas as pd
 
     import dieseltwin as dt
-    from dieseltwin.calibration.saved import base_and_geometry, load_answers
+    from dieseltwin.calibration.saved import base_and_geometry, load_repaired
 
     trace = pd.read_csv(_reference())
     names = ["n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct", "p_im_pa", "p_em_pa", "omega_t_rad_s", "w_egr_kg_s",
@@ -163,9 +163,9 @@ def points_kinds(folder: Path) -> list[Kind]:
         Kind("calibrated engine (.yaml)", "calibrated.yaml", lambda f: base_and_geometry(f / "calibrated.yaml")),
         Kind("its sidecar (.json)", "calibrated.calibration.json",
              lambda f: base_and_geometry(f / "calibrated.yaml")),
-        Kind("repaired.yaml", "points/repaired.yaml", lambda f: load_answers(f / "points/repaired.yaml")),
+        Kind("repaired.yaml", "points/repaired.yaml", lambda f: load_repaired(f / "points/repaired.yaml")),
         Kind("its sidecar (.steady.json)", "points/repaired.steady.json",
-             lambda f: load_answers(f / "points/repaired.yaml")),
+             lambda f: load_repaired(f / "points/repaired.yaml")),
     ]  # fmt: skip
 
 

@@ -23,12 +23,14 @@ from dieseltwin.calibration.discover import Options, PointsDiscovery, discover_p
 from dieseltwin.calibration.imply import Answers, contradictions
 from dieseltwin.calibration.likelihood import NOISE
 from dieseltwin.calibration.saved import (
+    Repaired,
     answers_of,
     as_repaired_by,
     base_and_geometry,
     calibration_sidecar,
-    load_answers,
+    load_repaired,
     other_points,
+    repaired_by,
     write_calibration,
     write_repaired,
 )
@@ -290,7 +292,7 @@ def ask(
                       search=search)
     source = settled_points(points, channels, geometry, NEEDED)
     if isinstance(engine, str | Path) and not question.reference:
-        source = as_repaired_by(engine, source)
+        source = as_repaired_by(Path(engine), source)
         source = replace(source, notes=(*source.notes, *other_points(Path(engine), source)))
     if learned_engine_of(engine) is not None:
         source = replace(source, notes=(*source.notes, _MEAN_MAPS))
@@ -356,13 +358,13 @@ def imply(
     Raises:
         InputError: files that can't be used, an engine that wasn't repaired on points.
     """
-    answers, turned = _answers(engine)
-    source = settled_points(points, channels, answers.first.model.engine, INPUTS)
+    repaired = _repaired(engine)
+    answers = repaired.answers
+    source = repaired.acting(settled_points(points, channels, answers.first.model.engine, INPUTS))
     if "exhaust_flap" in answers.first.values and "u_flap_pct" not in source:
         raise InputError(f"{source.path or 'points'}: column u_flap_pct", "none",
                          "this column: the engine has an exhaust flap", "add the flap's position")
-    source = as_repaired_by(engine.found if isinstance(engine, PointsDiscovered) else engine, source)
-    straight = source.with_columns(**{column: 100.0 - source[column] for column in turned})
+    straight = source.with_columns(**{column: 100.0 - source[column] for column in repaired.turned})
     notes = [*contradictions(straight, answers.first.misfit(straight)),
              *outside(straight, answers.first.guess.centre, answers.first.guess.spread)]  # fmt: skip
     decided = [f"{column} ({100 * share:.0f} %)" for column, share in answers.disagreement(straight).items()
@@ -370,17 +372,16 @@ def imply(
     if decided:
         notes.insert(0, Note("beliefs decide (share of the variance that formulations of the unmeasured places "
                              f"disagree about): {', '.join(decided)}", "not_identifiable"))  # fmt: skip
-    notes = [*map(of_reading, source.notes), *notes]
-    return Implied(source, answers(straight), tuple(notes))
+    return Implied(source, answers(straight), (*map(of_reading, source.notes), *notes))
 
 
-def _answers(engine: PointsDiscovered | str | Path) -> tuple[Answers, tuple[str, ...]]:
+def _repaired(engine: PointsDiscovered | str | Path) -> Repaired:
     if isinstance(engine, str | Path):
-        return load_answers(Path(engine))
+        return load_repaired(Path(engine))
     if not isinstance(engine, PointsDiscovered):
         raise InputError("engine", f"a {type(engine).__name__}", "what `discover` found on points, or its file",
                          "run `dieseltwin discover POINTS --engine engine.yaml --out DIR` first")  # fmt: skip
-    return engine.answers, tuple(a.column for a in engine.found.calibration.actuators if a.opens < 0)
+    return repaired_by(engine.found, engine.answers)
 
 
 def outside(source: SteadyPoints, centre: np.ndarray, spread: np.ndarray) -> list[Note]:

@@ -27,7 +27,7 @@ from dieseltwin.rigs.parameters import RigParameters, save_rig
 from dieseltwin.rigs.recording import RigRecording
 from dieseltwin.rigs.simulate import run_error, simulate_rig
 from dieseltwin.rigs.twin import model_of
-from dieseltwin.rigs.verdict import HOLD, LONG_STEPS, details, document, sentence
+from dieseltwin.rigs.verdict import HOLD, LEFT, LONG_STEPS, UNEXPLAINED, details, document, sentence, unseen
 from dieseltwin.settings.names import refuse_options
 from dieseltwin.settings.params import params_sha256
 from dieseltwin.version import __version__
@@ -71,8 +71,11 @@ class RigDiscovered(Discovered):
         return sentence(self.found, self.document)
 
     def lines(self) -> list[str]:
-        said = [doubt for doubt in self.document.warnings if doubt.code in (LONG_STEPS, HOLD, READING)]
-        return [self.sentence, *(Note(doubt.text, doubt.code) for doubt in said)]
+        codes = {LONG_STEPS, HOLD, READING, LEFT} | ({UNEXPLAINED} if self.document.mismatch else set())
+        said = [doubt for doubt in self.document.warnings if doubt.code in codes]  # the sentence says the others
+        notes = [Note(doubt.text, doubt.code) for doubt in said]
+        unexplained = UNEXPLAINED in [doubt.code for doubt in self.document.warnings]
+        return [self.sentence, *notes, *filter(None, ["" if unexplained else unseen(self.found)])]
 
     def plot(self, name: str | None = None) -> Figure:
         """`readings`: the repaired machine in free runs beside what was recorded."""

@@ -24,8 +24,9 @@ from dieseltwin.calibration.coefficients import (
     with_scalars,
     worn,
 )
+from dieseltwin.calibration.held_out import Foretold, foretold
 from dieseltwin.calibration.lasting_errors import map_corrections
-from dieseltwin.calibration.likelihood import Estimate, estimate, log_density
+from dieseltwin.calibration.likelihood import Estimate, estimate
 from dieseltwin.calibration.onsets import Onset, onset_of
 from dieseltwin.calibration.own_pipes import BACK_PRESSURE, beside_own_pipes
 from dieseltwin.calibration.reference_engine import about_reference, told_by_reference
@@ -56,7 +57,7 @@ from dieseltwin.recordings.steady_points import SINCE, STATES, SteadyPoints
 from dieseltwin.settings.defaults import default_search
 from dieseltwin.settings.search import PointSettings, SubmodelErrors
 
-FULL_ITERATIONS, TRAIN_ITERATIONS = 20, 4
+FULL_ITERATIONS = 20
 _SIGNIFICANT = 2.0  # standard deviations
 
 
@@ -210,8 +211,7 @@ def discover_points(calibration: Calibration, options: Options | None = None) ->
     hypotheses = hypotheses_of(points, STATES)
     free = list(calibration.estimate.coefficients)
     here = calibration
-    nll_before, trained_before = _held_out(here, free)
-    nll, trained = nll_before, trained_before
+    first = best = foretold(here, free)
     rounds: list[Round] = []
     names: list[str] = []
     faded: set[str] = set()
@@ -226,7 +226,7 @@ def discover_points(calibration: Calibration, options: Options | None = None) ->
         added = (onset.name,) if onset is not None else \
             found.names_for_round(misfit, options.search.least_explained, refused=True)
         if not added or len(names) + len(added) > options.search.most_effects:
-            rounds.append(Round(found, (), nll, False))
+            rounds.append(Round(found, (), best.nll, False))
             break
         more = [c for name in added for c in effect_coefficients(name, hypotheses[name], options.search.flap_spread)]
         if onset is not None:
@@ -236,12 +236,12 @@ def discover_points(calibration: Calibration, options: Options | None = None) ->
         if vanished:  # the maps bend so that nothing is left of it: the search looks again without that name
             faded |= vanished
             continue
-        foretold, coefficients = _held_out(candidate, [*free, *more])
-        taken = foretold < nll
-        rounds.append(Round(found, added, foretold, taken, onset))
+        with_it = foretold(candidate, [*free, *more])
+        taken = with_it.better_than(best)
+        rounds.append(Round(found, added, with_it.nll, taken, onset))
         if not taken:
             break
-        here, nll, trained = candidate, foretold, coefficients
+        here, best = candidate, with_it
         free += more
         names += added
         superseded = _vanished(here, names, hypotheses, found)
@@ -249,17 +249,17 @@ def discover_points(calibration: Calibration, options: Options | None = None) ->
             names = [name for name in names if name not in superseded]
             free = [c for c in free if c.name not in superseded]
             here = _refitted(here, free, dict.fromkeys(superseded, 0.0))
-            nll, trained = _held_out(here, free)
+            best = foretold(here, free)
     last = rounds[-1]
     more_is_missing = last.found.kind != "healthy" and not last.taken
     law: Law | None = None
     terms: tuple[OneTerm, ...] = ()
     scatter, before_law = None, None
     if more_is_missing and options.law_search:
-        proved = _proved_law(last.found, here, free, nll)
+        proved = _proved_law(last.found, here, free, best)
         if proved is not None:
             before_law = here
-            law, terms, here, nll, trained = proved
+            law, terms, here, best = proved
     if more_is_missing:
         scatter = scatter_of(here.model, here.points, here.start, options.search.submodels)
     std = here.estimate.std()
@@ -268,9 +268,9 @@ def discover_points(calibration: Calibration, options: Options | None = None) ->
     if beside_pipes is not None:
         std[BACK_PRESSURE] = float(np.hypot(std[BACK_PRESSURE], values[BACK_PRESSURE] - beside_pipes))
     return PointsDiscovery(
-        calibration, here, tuple(rounds), {name: (values[name], std[name]) for name in names}, nll_before, nll,
-        submodel_fits(calibration.model, points, mask, trained_before, calibration.estimate.discrepancy),
-        submodel_fits(here.model, here.points, mask, trained, here.estimate.discrepancy),
+        calibration, here, tuple(rounds), {name: (values[name], std[name]) for name in names}, first.nll,
+        best.nll, submodel_fits(calibration.model, points, mask, first.trained, calibration.estimate.discrepancy),
+        submodel_fits(here.model, here.points, mask, best.trained, here.estimate.discrepancy),
         law, terms, scatter, options, _formulations(here, free, options.search.submodels), time.perf_counter() - clock,
         before_law, beside_pipes,
         rough_enough(last.found, twin) if more_is_missing and not told else None,
@@ -318,27 +318,17 @@ def _refitted(here: Calibration, free: list[Coefficient], start: Mapping[str, fl
                    engine=with_scalars(here.engine, found.values()))
 
 
-def _held_out(here: Calibration, free: list[Coefficient]) -> tuple[float, dict[str, float]]:
-    """Negative log-likelihood per held-out point that is judged, with coefficients and errors of the balances of the
-    others, and those coefficients."""
-    points, mask = here.points, here.held_out
-    found = estimate(here.model, points.take(~mask), free, here.start, iterations=TRAIN_ITERATIONS,
-                     rows=counted_rows(here.model, free))
-    trained = {**here.start, **found.values()}
-    return float(-log_density(here.model, points.take(mask).judged, trained, found.discrepancy).mean()), trained
+_Proved = tuple[Law, tuple[OneTerm, ...], Calibration, Foretold]
 
 
-_Proved = tuple[Law, tuple[OneTerm, ...], Calibration, float, dict[str, float]]
-
-
-def _proved_law(found: Search, here: Calibration, free: list[Coefficient], nll: float) -> _Proved | None:
+def _proved_law(found: Search, here: Calibration, free: list[Coefficient], best: Foretold) -> _Proved | None:
     """A law for what no name explains, if the held-out third is foretold better with it and all coefficients fitted.
 
     Among some thousand forms the best one always fits better; a law that doesn't foretell is none. Nor is one that
     takes an unmeasured place beyond what is believed of it: the next best at another place is looked for.
 
     Returns:
-        The law, its terms, the calibration with it, negative log-likelihood and coefficients as `_held_out`.
+        The law, its terms, the calibration with it, and what that foretells.
     """
     refused: frozenset[str] = frozenset()
     while True:
@@ -357,8 +347,8 @@ def _proved_law(found: Search, here: Calibration, free: list[Coefficient], nll: 
         if not wrong:
             break
         refused |= wrong
-    foretold, trained = _held_out(candidate, free)
-    return (law, terms, candidate, foretold, trained) if foretold < nll else None
+    with_it = foretold(candidate, free)
+    return (law, terms, candidate, with_it) if with_it.better_than(best) else None
 
 
 def _with_law(here: Calibration, free: list[Coefficient], terms: tuple[OneTerm, ...]) -> Calibration:

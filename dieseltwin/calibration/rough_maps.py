@@ -16,20 +16,17 @@ from dieseltwin.discovery.search.state import Search
 from dieseltwin.notes import Note
 from dieseltwin.settings.search import PointSettings
 
-TIMES = (2.0, 3.0, 5.0)
-"""What is believed of the maps times this: 5 makes 3 to 7 %, the worst maps that calibration left on real engines."""
-
 _MAPS = ("cylinder_flow", "turbine_flow", "turbo_power", "compressor_flow", "egr_flow")
 
 
 def rough_enough(found: Search, twin: SteadyTwin) -> float | None:
-    """The smallest of `TIMES` with which the points call for nothing more; None where none of them explains them.
+    """The smallest of `rough_maps` with which the points call for nothing more; None where none of them explains them.
 
     Args:
         found: the round that sees something without a name, without a reference.
         twin: of it.
     """
-    for times in TIMES:
+    for times in sorted(twin.settings.rough_maps):
         wider = copy(twin)
         wider.points = tuple(replace(point, tolerance=times * point.tolerance) for point in twin.points)
         if search.run(wider, found.settings, laws=False).kind == "healthy":

@@ -8,7 +8,7 @@ unmeasured places with its covariance, and the first guess of the states, so tha
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -148,20 +148,21 @@ def acting_since(points: SteadyPoints, judged_sha256: str, rows: Mapping[str, in
     return acting
 
 
-def as_repaired_by(engine: PointsDiscovery | str | Path, points: SteadyPoints) -> SteadyPoints:
-    """`acting_since` by what was found, or by the sidecar of an engine file; the points as they are where there is
-    none."""
-    if isinstance(engine, PointsDiscovery):
-        return acting_since(points, engine.points.sha256, since_rows(engine))
-    engine_file = Path(engine)
+def as_repaired_by(engine_file: Path, points: SteadyPoints) -> SteadyPoints:
+    """`acting_since` by the sidecar of an engine file; the points as they are where there is none."""
     sidecar = steady_sidecar(engine_file)
     if calibration_sidecar(engine_file).is_file() or not sidecar.is_file():
         return points
     content = _read(sidecar, STEADY_FORMAT, WITHOUT_POINTS)
     try:
-        return acting_since(points, str(content.get("judged_sha256", "")), dict(content.get("since_row", {})))
+        return acting_since(points, *_found_on(content))
     except (TypeError, ValueError) as error:
         raise _broken(sidecar, error) from None
+
+
+def _found_on(content: Mapping[str, Any]) -> tuple[str, dict[str, int]]:
+    """SHA-256 of the points that the terms of a sidecar were found on, and since which of their rows they act."""
+    return str(content.get("judged_sha256", "")), dict(content.get("since_row", {}))
 
 
 def write_repaired(result: PointsDiscovery, path: Path, answers: Answers | None = None) -> list[Path]:
@@ -174,8 +175,8 @@ def write_repaired(result: PointsDiscovery, path: Path, answers: Answers | None 
     """
     written = [write_engine(result.engine(), path, "Repaired by `dieseltwin discover`; --engine accepts it. What is "
                             f"believed of unmeasured places stands in {steady_sidecar(path).name}")]
-    answers = answers or answers_of(result)
-    guess = answers.first.guess
+    known = repaired_by(result, answers or answers_of(result))
+    answers, guess = known.answers, known.answers.first.guess
     content = {
         "format": STEADY_FORMAT,
         "terms": [term.model_dump(mode="json", exclude_none=True) for term in result.engine().terms],
@@ -185,8 +186,7 @@ def write_repaired(result: PointsDiscovery, path: Path, answers: Answers | None 
         "points": {name: _listed(column) for name, column in thinned(result.points).columns.items()},
         "guess": {"weights": guess.weights.tolist(), "centre": guess.centre.tolist(), "spread": guess.spread.tolist(),
                   "residual": guess.residual.tolist()},
-        "turned": [a.column for a in result.calibration.actuators if a.opens < 0],
-        "judged_sha256": result.points.sha256, "since_row": since_rows(result),
+        "turned": list(known.turned), "judged_sha256": known.judged_sha256, "since_row": dict(known.since_row),
         "base": result.calibration.base.model_dump(mode="json"),
         "geometry": result.calibration.geometry.model_dump(mode="json"),
     }  # fmt: skip
@@ -205,8 +205,28 @@ def _formulation(answerer: Answerer) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def load_answers(path: Path) -> tuple[Answers, tuple[str, ...]]:
-    """What `imply` needs of a repaired engine file, and the actuator columns that must be turned round.
+@dataclass(frozen=True)
+class Repaired:
+    """What `imply` needs of a repaired engine.
+
+    Attributes:
+        answers: by every formulation.
+        turned: actuator columns that must be turned round.
+        judged_sha256: of the points that its terms were found on; since_row: as of `since_rows`.
+    """
+
+    answers: Answers
+    turned: tuple[str, ...]
+    judged_sha256: str
+    since_row: Mapping[str, int]
+
+    def acting(self, points: SteadyPoints) -> SteadyPoints:
+        """As `acting_since`."""
+        return acting_since(points, self.judged_sha256, self.since_row)
+
+
+def load_repaired(path: Path) -> Repaired:
+    """What `imply` needs, of a repaired engine file and the sidecar beside it.
 
     Raises:
         InputError: no engine file, or no or a broken sidecar beside it.
@@ -228,9 +248,15 @@ def load_answers(path: Path) -> tuple[Answers, tuple[str, ...]]:
                 {c["name"]: (float(c["low"]), float(c["high"])) for c in part["free"]},
                 _local_errors(model, part, guess, content.get("points")),
             )  # fmt: skip
-        return Answers(found), tuple(content["turned"])
+        return Repaired(Answers(found), tuple(content["turned"]), *_found_on(content))
     except (KeyError, TypeError, ValueError) as error:
         raise _broken(sidecar, error) from None
+
+
+def repaired_by(result: PointsDiscovery, answers: Answers) -> Repaired:
+    """The same without a file; `answers`: of `answers_of`."""
+    turned = tuple(a.column for a in result.calibration.actuators if a.opens < 0)
+    return Repaired(answers, turned, result.points.sha256, since_rows(result))
 
 
 def answers_of(result: PointsDiscovery) -> Answers:

@@ -15,7 +15,7 @@ import numpy as np
 
 from dieseltwin.arrays import Array
 from dieseltwin.calibration.coefficients import FLAP_COEFFICIENTS, WEAR
-from dieseltwin.calibration.relations import Relations, cooled_charge, log_ratio, spread
+from dieseltwin.calibration.relations import Relations, cooled_charge, log_ratio, middle_sizes, spread
 from dieseltwin.engine.binding import bind
 from dieseltwin.engine.effects import EFFECTS, effects_at
 from dieseltwin.engine.map_corrections import corrections_of, with_corrections_at
@@ -210,7 +210,8 @@ class SteadyModel:
         for name in self.extra:
             pairs[EXTRA_ROWS[name]] = (read[name], implied[EXTRA_ROWS[name]])
         shape = np.broadcast_shapes((lanes, points.size), x.shape[:-1])
-        residual = np.stack([spread(log_ratio(*pairs[k]), shape) for k in self.rows], axis=-1)
+        sizes = middle_sizes(points)
+        residual = np.stack([spread(log_ratio(*pairs[k], sizes.get(k)), shape) for k in self.rows], axis=-1)
         # The compressor's map is judged in its implicit form (A.46): solved for the flow, a flat speed line would
         # turn 1 % of pressure into 30 % of flow.
         psi = _eq.energy_transfer_coefficient(T_0, Pi_c, omega, c_c) - c.c_psi2

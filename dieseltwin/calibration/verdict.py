@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from dieseltwin.calibration.likelihood import balance_deviation
 from dieseltwin.calibration.rough_maps import rough_maps_note
 from dieseltwin.calibration.scatter import Scatter
 from dieseltwin.calibration.steady_model import ROWS
-from dieseltwin.discovery.likelihood.fit import Fit as Fitted
+from dieseltwin.calibration.told_apart import equivalent, fits_of, sensor_notes, split_by
 from dieseltwin.discovery.likelihood.score import minimum_detectable
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.verdict.document import (
@@ -52,14 +52,9 @@ MOST_CHI2 = 100.0  # of one balance of one point: a wild reading has a note of i
 _COLUMN = {"compressor_flow": "w_c_kg_s", "egr_flow": "w_egr_kg_s", "exhaust_temperature": "t_em_k"}
 
 
-def _fits(item: Round) -> list[Fitted]:
-    """Of the single names of a round; of those that begin at a point where its choice does."""
-    return item.found.singles if item.onset is None else [item.onset.fit, *item.onset.others]
-
-
 def _probabilities(item: Round) -> dict[str, float]:
     """Of the single names of a round by their gains, which sum to one."""
-    fits = _fits(item)
+    fits = fits_of(item)
     gains = np.array([0.5 * item.found.gain(fit) for fit in fits])
     weights = np.exp(np.maximum(gains - gains.max(), -60.0))
     names = [fit.candidate.names[0] for fit in fits]
@@ -89,30 +84,8 @@ def _share(item: Round, after: Round | None) -> float | None:
         return gain / (gain + max(left - found.settings.chance_leaves, 0.0))
     if item.onset is None and found.best is not None and found.best.fit.candidate.names == item.names:
         return found.share_explained()
-    gain = max((found.gain(fit) for fit in _fits(item) if fit.candidate.names == item.names), default=0.0)
+    gain = max((found.gain(fit) for fit in fits_of(item) if fit.candidate.names == item.names), default=0.0)
     return gain / max(found.null.fit.objective - found.twin.measured.size, gain, 1.0)
-
-
-def _equivalent(item: Round, name: str) -> tuple[str, ...]:
-    """Names of the catalogue that the points can't tell from one: what that leaves is the size of what the balances
-    can't describe, so closer names can't be told apart either."""
-    found, fits = item.found, _fits(item)
-    left = found.left[0].gain if found.left and item.onset is None else 0.0
-    reach = max(found.settings.equivalent_gain, left)
-    best = max(found.gain(fit) for fit in fits)
-    own = next((found.gain(fit) for fit in fits if fit.candidate.names == (name,)), best)
-    others = [fit.candidate.names[0] for fit in fits
-              if own - found.gain(fit) < reach and fit.candidate.names[0] not in item.names]
-    return tuple(n for n in others if n in EFFECTS)
-
-
-def _split_by(name: str, others: Sequence[str], extra: Sequence[str]) -> str | None:
-    """The reading that would tell a name from the others; None where none is known."""
-    apart = {"t_c_k": {"compressor_efficiency_loss", "turbine_efficiency_loss"},
-             "t_im_k": {"charge_cooler_loss", "egr_heating", "volumetric_efficiency_residual"},
-             "p_es_pa": {"back_pressure", "vgt_offset"}, "p_bc_pa": {"air_filter_restriction", "compressor_flow_loss"}}
-    known = (c for c, names in apart.items() if c not in extra and name in names and not names.isdisjoint(others))
-    return next((f"a {column} sensor" for column in known), None)
 
 
 def _effects(result: PointsDiscovery) -> tuple[FoundEffect, ...]:
@@ -134,13 +107,13 @@ def _effects(result: PointsDiscovery) -> tuple[FoundEffect, ...]:
             own = next(t.shape for t in result.terms() if isinstance(t, Term) and t.effect == name)
             if own:
                 law += "; " + ", ".join(f"{key} = {value:.4g}" for key, value in own.items())
-            alike = _equivalent(item, name)
+            others = equivalent(item, name)
             entries.append(FoundEffect(
                 name=name, probability=_probabilities(item).get(name, 1.0) if len(item.names) == 1 else 1.0,
-                equivalent_names=alike, law=law, magnitude=magnitude, std=finite(std),
+                equivalent_names=others, law=law, magnitude=magnitude, std=finite(std),
                 unit=hypothesis.unit, valid_for=valid_for(item.found),
                 since_row=None if item.onset is None else item.onset.row,
-                split_by=_split_by(name, alike, result.calibration.model.extra),
+                split_by=split_by(name, others, result.calibration.model.extra),
             ))  # fmt: skip
     if result.more_is_missing:
         laws.append(result.law.text if result.law is not None else "more is missing; no law is resolved")
@@ -210,7 +183,7 @@ def document(result: PointsDiscovery) -> Discrepancy:
         provenance=Provenance(code_version=__version__, params_sha256=result.options.sha256),
     )  # fmt: skip
     doubts = [*doubts_among(result.calibration.notes), *fit_doubts(made), *_law_notes(result, health),
-              *_pipe_notes(result)]  # fmt: skip
+              *_pipe_notes(result), *sensor_notes(result)]  # fmt: skip
     if result.rough is not None:
         doubts.append(rough_maps_note(result.rough, result.options.search))
     return with_warnings(made, doubts)

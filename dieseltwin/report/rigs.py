@@ -24,7 +24,7 @@ from dieseltwin.rigs.expressions import names_in
 from dieseltwin.rigs.parameters import RigParameters
 from dieseltwin.rigs.recording import RigRecording
 from dieseltwin.rigs.simulate import simulate_rig
-from dieseltwin.rigs.verdict import shares
+from dieseltwin.rigs.verdict import shares, unseen
 
 SIMULATED = ("simulated, as the file is", "simulated, repaired")
 HELD_OUT = ("The last part in free runs of machines that were fitted to what comes before: nothing of it was seen by a "
@@ -127,13 +127,14 @@ def rig_page(found: RigDiscovery, document: Discrepancy, words: str) -> Page:
     inputs = tuple(Panel(name, units[name], recording.time_s, (Line("input", MEASURED, values),))
                    for name, values in recording.inputs.items())
     over_time = Series((*free_runs(found.before, rig if document.mismatch else None, recording), *inputs), marks=marks)
+    hidden = unseen(found).replace("not seen", "Not seen", 1)
     sections = (
         Section("readings-over-time", "Readings over time", series=replace(over_time, drawn=still(over_time))),
         _held_out(found),
         Section("doubts", "What is doubtful", tables=(findings.doubts(document),)),
         Section("weighed", "Candidates", words=since,
                 tables=(findings.weighed(candidate_rows(first), units, findings.as_it_is),)),
-        Section("visible", "What could be seen", words=VISIBLE,
+        Section("visible", "What could be seen", words=" ".join(filter(None, (VISIBLE, hidden and f"{hidden}."))),
                 tables=(findings.visible(document, units, findings.as_it_is),)),
     )  # fmt: skip
     return Page(

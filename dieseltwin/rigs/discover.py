@@ -161,10 +161,14 @@ def discover_rig(recording: RigRecording, rig: RigParameters, options: Options |
         raise InputError(f"{rig.name}: effects", "none to look for", "one or more that may be missing",
                          "name them in the file, or withhold fewer")  # fmt: skip
     try:
-        before, fit = fitted(rig, recording)
+        with np.errstate(all="ignore"):  # a machine that runs away: refused behind
+            before, fit = fitted(rig, recording)
+        if not np.isfinite(fit.jacobian).all():
+            raise np.linalg.LinAlgError
     except np.linalg.LinAlgError:
         raise InputError(recording.path, f"no fit of {rig.name} that stays finite", "a recording of this machine",
-                         "check the columns' units, or shorten the file's window_s") from None
+                         "check values and units of columns and of the file, give more sub_steps, or shorten "
+                         "window_s") from None
     found, midway = _searched(before, fit.residual, recording, options), first_course(fit, settings, options.withhold)
     course = _best_course(before, fit, recording, options, found, midway)
     otherwise = fitted_otherwise(before, recording)

@@ -138,8 +138,10 @@ class RigParameters(StrictModel):
         if set(self.rates) != set(self.states):
             raise ValueError(f"rates of {', '.join(self.rates)}, states {', '.join(self.states)}: one rate a state")
         known = [*self.states, *self.inputs, *self.parameters, *self.effects]
-        if len(set(known)) < len(known) or set(known) & set(self.quantities):
-            raise ValueError("a name stands for two things; every state, input, parameter, effect has its own")
+        every = [*known, *self.quantities]
+        if twice := [name for name in dict.fromkeys(every) if every.count(name) > 1]:
+            raise ValueError(f"{listed(twice)} stands for two things; every state, input, parameter, quantity and "
+                             "effect has a name of its own")
         for name in (*known, *self.quantities):
             if not usable(name):
                 raise ValueError(f"{name!r} can't be a name: letters, digits and _ after a letter, and no function's")
@@ -172,6 +174,12 @@ class RigParameters(StrictModel):
             low, high = effect.limits
             if not low <= 0.0 <= high or low == high:
                 raise ValueError(f"effect {name}: limits {low:g} to {high:g}; the lower first, and 0, absent, in them")
+            if effect.tolerance > max(-low, high):
+                raise ValueError(f"effect {name}: tolerance {effect.tolerance:g} beyond its limits, {low:g} to "
+                                 f"{high:g}, so that it could never be found")
+            column = effect.site.removeprefix("sensor:")
+            if column != effect.site:
+                _check(f"effect {name}: site sensor", [column], self.readings)
             if not all(low <= size <= high for size in effect.sizes):
                 raise ValueError(f"effect {name}: sizes {listed([f'{s:g}' for s in effect.sizes])} beyond its limits")
         return self

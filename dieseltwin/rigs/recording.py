@@ -19,6 +19,7 @@ from dieseltwin.rigs.parameters import RigParameters
 from dieseltwin.settings.names import listed
 
 LEAST_ROWS = 20
+LEAST_SAMPLES = 3  # of a window, for each state that starts anew and for the parameters
 
 
 @dataclass(frozen=True)
@@ -68,6 +69,7 @@ def read_rig(source: str | Path | pd.DataFrame | Imported, rig: RigParameters) -
         raise InputError(where, rows, f"{LEAST_ROWS} or more samples", "record longer" if rig.every == 1 else
                          f"record longer, or lower `every` of {rig.name}")  # fmt: skip
     _refuse_disorder(columns[TIME], where)
+    _refuse_short_runs(rig, time_s)
     inputs = {name: columns[name][:n].reshape(-1, rig.every).mean(axis=1) for name in rig.inputs}
     for name, values in inputs.items():
         if not np.isfinite(values).all():
@@ -80,6 +82,16 @@ def read_rig(source: str | Path | pd.DataFrame | Imported, rig: RigParameters) -
     readings = {name: columns[name][:n : rig.every] for name in rig.readings
                 if name in columns and np.isfinite(columns[name][:n : rig.every]).any()}  # fmt: skip
     return RigRecording(time_s, inputs, readings, where, digest, (*notes, *coded))
+
+
+def _refuse_short_runs(rig: RigParameters, time_s: Array) -> None:
+    """Windows and runs whose states start anew at nearly every sample explain anything and say nothing."""
+    step = float(np.median(np.diff(time_s)))
+    least = (len(rig.states) + 1) * LEAST_SAMPLES
+    for key, length in (("window_s", rig.window_s), ("run_s", rig.run_s)):
+        if length is not None and length < least * step:
+            raise InputError(f"{rig.name}: {key}", f"{length:g} s, where a sample comes every {step:.3g} s",
+                             f"{least * step:.3g} s or more, {least} samples", "give a longer one, or leave it out")
 
 
 def _refuse_disorder(time_s: Array, where: str) -> None:

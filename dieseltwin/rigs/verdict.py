@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from dieseltwin.discovery.likelihood.score import minimum_detectable
+from dieseltwin.discovery.likelihood.fit import Linearisation
+from dieseltwin.discovery.likelihood.score import Scored, best_of_each, minimum_detectable, without_parameters
 from dieseltwin.discovery.twins.interface import Array, single
 from dieseltwin.discovery.verdict.assemble import details_of_search, finite_only, p_value
 from dieseltwin.discovery.verdict.document import (
@@ -32,7 +33,7 @@ from dieseltwin.discovery.verdict.findings import (
 from dieseltwin.discovery.verdict.health_value import HealthValue
 from dieseltwin.discovery.verdict.reasons import candidate_rows
 from dieseltwin.discovery.verdict.when import when_words
-from dieseltwin.notes import Note
+from dieseltwin.notes import Note, listing
 from dieseltwin.recordings.noise import estimate_noise
 from dieseltwin.rigs.discover import RigDiscovery, Round
 from dieseltwin.rigs.simulate import step_error
@@ -44,6 +45,9 @@ MORE = "more is missing; no law foretells it"
 LONG_STEPS = "long_steps"
 UNEXPLAINED = "wrong_engine"
 HOLD = "hold"
+LEFT = "residuals"
+TAKEN_UP = 0.03  # of what an effect does to the readings, that parameters leave where they say the same
+MOVED = 0.2  # of the parameter that moves farthest
 LOUD = 3.0  # times the noise, by which a repaired machine may miss a reading without a word
 LEFT_BY_HOLD = 0.8  # of the error (rms); another way between rows leaves less than that where it is the right one
 LEAST_EXPLAINED = 0.5  # of a reading's variance; the tanks without what they lack explain 0.95
@@ -100,7 +104,7 @@ def _left_notes(result: RigDiscovery) -> list[Note]:
     errors = zip(twin.channels, judged[-1].after, noise, strict=True)
     return [Note(f"free runs of the repaired machine miss {name} by {off:.3g} (rms), {off / own:.2g} times its noise: "
                  "what is found isn't all that is missing, or stands for something that the file has no name for",
-                 "residuals", [name]) for name, off, own in errors if off > LOUD * own]  # fmt: skip
+                 LEFT, [name]) for name, off, own in errors if off > LOUD * own]  # fmt: skip
 
 
 def _step_notes(result: RigDiscovery) -> list[Note]:
@@ -117,6 +121,38 @@ def _step_notes(result: RigDiscovery) -> list[Note]:
     text = (f"steps of the integration are too long to judge by: halved, they change {name} by up to {change:.2g}, and "
             f"what is found may be theirs; give sub_steps: {steps} in place of {twin.rig.sub_steps}")  # fmt: skip
     return [Note(text, LONG_STEPS, [name])]
+
+
+def unseen(result: RigDiscovery) -> str:
+    """Effects that the machine's own parameters say as well: what was there from the first row on is taken for those,
+    as far as they may be other than believed. Empty where there is none; a tank that never overflows is none of these.
+    """
+    first = result.rounds[0].found
+    smallest = minimum_detectable(first.scored, first.settings.alarm_gain)
+    taken = {name for item in result.taken for name in item.names}
+    told = []
+    for item in best_of_each(first.scored):
+        effect, size = first.twin.hypotheses[item.name], smallest[item.name]
+        by = _said_by(first.null, item) if size > effect.tolerance and item.name not in taken else []
+        if by:
+            seen = f"below {size:.2g} {effect.unit}".removesuffix(" -")
+            whole = size > max(map(abs, effect.limits))
+            told.append(f"{item.name} {'of any size' if whole else seen} ({', '.join(by)})")
+    return "" if not told else (
+        "not seen, as other values of the machine's own parameters do the same from the first row on: "
+        f"{listing(told)}; a smaller prior_std, where more is known of these, or another reading tells"
+    )  # fmt: skip
+
+
+def _said_by(at: Linearisation, item: Scored) -> list[str]:
+    """Parameters that say the same as an effect, those first that must move farthest for it; none where readings tell
+    the difference, or where it does nothing."""
+    raw = at.metric.project(item.response[None])
+    size, left, rows = float(np.linalg.norm(raw)), without_parameters(at, raw)[0], raw.shape[1]
+    if not size or float(np.linalg.norm(left[:rows])) > TAKEN_UP * size:
+        return []
+    moved = np.abs(left[rows : rows + len(at.twin.parameters)])  # in deviations of what is believed
+    return [at.twin.parameters[k].name for k in np.argsort(-moved) if moved[k] > MOVED * moved.max()]
 
 
 def _hold_notes(result: RigDiscovery) -> list[Note]:

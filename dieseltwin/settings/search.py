@@ -5,6 +5,8 @@ The numbers stand in the file with their reasons. Gains are decreases of -2 log 
 
 from __future__ import annotations
 
+from typing import Annotated
+
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 
 from dieseltwin.settings.strict import StrictModel
@@ -121,6 +123,10 @@ class PointSettings(SearchSettings):
     most_effects: PositiveInt = Field(description="that are named")
     flap_spread: PositiveFloat = Field(description="prior standard deviation of the exponents of the exhaust flap's "
                                        "law [-]")
+    rough_maps: tuple[Annotated[float, Field(gt=1)], ...] = Field(
+        description="times what is believed of the maps, that are tried on what has no name without a reference; "
+        "[]: none [-]"
+    )
 
 
 class RigSettings(SearchSettings):

@@ -19,7 +19,7 @@ from dieseltwin.calibration.calibrate import calibrate
 from dieseltwin.calibration.discover import Options, PointsDiscovery, discover_points
 from dieseltwin.calibration.imply import Answers
 from dieseltwin.calibration.local_errors import local_errors, thinned
-from dieseltwin.calibration.saved import answers_of, load_answers, steady_sidecar, write_repaired
+from dieseltwin.calibration.saved import answers_of, load_repaired, steady_sidecar, write_repaired
 from dieseltwin.calibration.steady_model import SteadyModel
 from dieseltwin.calibration.verdict import document
 from dieseltwin.engine import we2011
@@ -109,9 +109,9 @@ def test_files_answer_for_inputs_alone(
 ) -> None:
     engine = tmp_path / "repaired.yaml"
     write_repaired(mended, engine)
-    read, turned = load_answers(engine)
-    assert turned == ()
-    pd.testing.assert_frame_equal(read(data), answers(data), rtol=1e-9)
+    read = load_repaired(engine)
+    assert read.turned == ()
+    pd.testing.assert_frame_equal(read.answers(data), answers(data), rtol=1e-9)
     told = tmp_path / "told" / "repaired.yaml"
     told.parent.mkdir()
     write_repaired(mended, told, answers)
@@ -175,7 +175,7 @@ def test_a_file_of_before_still_answers(
     for name in ("points", "content_sha256"):
         content.pop(name)
     sidecar.write_text(json.dumps({**content, "format": 2}))
-    read, _ = load_answers(engine)
+    read = load_repaired(engine).answers
     assert all(answerer.local is None for answerer in read.formulations.values())
     assert (read(data).filter(like="_std") > 0.0).all().all()
 
@@ -195,4 +195,4 @@ def test_an_engine_without_its_sidecar_is_refused(tmp_path: Path) -> None:
     engine = tmp_path / "engine.yaml"
     engine.write_text("r_c: 17\n")
     with pytest.raises(InputError, match=r"engine\.steady\.json"):
-        load_answers(engine)
+        load_repaired(engine)

@@ -12,8 +12,9 @@ from dieseltwin.calibration import calibrate as module
 from dieseltwin.calibration.calibrate import calibrate
 from dieseltwin.calibration.discover import Options, PointsDiscovery, discover_points
 from dieseltwin.calibration.onsets import FEWEST, may_begin
-from dieseltwin.calibration.saved import answers_of, as_repaired_by, write_repaired
+from dieseltwin.calibration.saved import answers_of, as_repaired_by, load_repaired, write_repaired
 from dieseltwin.calibration.steady_model import SteadyModel, term_values
+from dieseltwin.calibration.told_apart import sensor_notes
 from dieseltwin.calibration.verdict import details, document
 from dieseltwin.engine import we2011
 from dieseltwin.engine.terms import Term
@@ -74,8 +75,11 @@ def test_the_repaired_engine_judges_its_own_points_from_the_onset_on(found: Poin
     other = replace(same, sha256="b")
     assert as_repaired_by(tmp_path / "repaired.yaml", same) is same  # it wasn't said which points they were
     read = replace(found, repaired=replace(found.repaired, points=replace(found.points, sha256="a")))
-    assert as_repaired_by(read, other) is other
-    told = as_repaired_by(read, same)
+    write_repaired(read, tmp_path / "repaired.yaml")
+    assert as_repaired_by(tmp_path / "repaired.yaml", other) is other
+    told = as_repaired_by(tmp_path / "repaired.yaml", same)
+    by_imply = load_repaired(tmp_path / "repaired.yaml").acting(same)
+    assert told.notes == by_imply.notes and np.array_equal(told[f"{SINCE}boost_leak"], by_imply[f"{SINCE}boost_leak"])
     assert "boost_leak (since data row" in told.notes[0]
     assert np.array_equal(told[f"{SINCE}boost_leak"], same.row >= row)
     model = SteadyModel(found.engine())
@@ -101,6 +105,8 @@ def test_a_charge_that_reads_too_much_since_a_point_leaves_nothing_else() -> Non
     found = discovered(made.with_columns(t_im_k=charge))
     magnitude, std = found.effects["t_im_k:offset"]
     assert magnitude == pytest.approx(12.0, abs=2.0 * std) and not found.more_is_missing
+    (note,) = sensor_notes(found)  # a charge of one temperature: 4 % too much is 12 K too much
+    assert note.affects == ("t_im_k",) and "can't be told apart" in note
 
 
 def test_points_in_an_order_of_their_own_say_nothing_of_an_onset() -> None:

@@ -17,7 +17,7 @@ import dieseltwin as dt
 from dieseltwin.calibration import calibrate as calibration
 from dieseltwin.calibration.calibrate import calibrate
 from dieseltwin.calibration.discover import discover_points
-from dieseltwin.calibration.saved import load_answers
+from dieseltwin.calibration.saved import load_repaired
 from dieseltwin.calibration.verdict import document
 from dieseltwin.cli.app import main
 from dieseltwin.discovery.verdict.document import Discrepancy, load_discrepancy
@@ -165,7 +165,7 @@ def test_points_of_the_model_itself_call_for_nothing() -> None:
 def test_withheld_channels_fall_into_their_intervals(flap: Calibrated) -> None:
     """Other points of the same engine, one state left out at a time."""
     fresh = made_points(count=60, noise=0.005, seed=11, effects=FLAP)
-    answers, _ = load_answers(flap.found / "repaired.yaml")  # as `imply` does, but once for all of them
+    answers = load_repaired(flap.found / "repaired.yaml").answers  # as `imply` does, but once for all of them
     inside = []
     for column in STATES:
         implied = answers(SteadyPoints({c: v for c, v in fresh.columns.items() if c != column}, fresh.row))

@@ -91,7 +91,9 @@ def test_a_name_is_a_plain_identifier(name: str, tank: RigParameters) -> None:
         ({"laws": [{"at": "balanc", "coefficient": 1.0}]}, "did you mean balance"),
         ({"states": {"h": {"scale": 1.0, "nearest": "levle"}}}, "did you mean level"),
         ({"readings": {}}, "at least"),
-        ({"parameters": {"h": {"value": 1.0, "prior_std": 1.0, "scale": 0.1}}}, "stands for two things"),
+        ({"parameters": {"h": {"value": 1.0, "prior_std": 1.0, "scale": 0.1}}}, "h stands for two things"),
+        ({"effects": {"leak": {**LEAK, "tolerance": 2.0}}}, "effect leak: tolerance 2 beyond its limits, 0 to 1"),
+        ({"effects": {"leak": {**LEAK, "site": "sensor:levle"}}}, "unknown name 'levle'; did you mean level"),
         ({"substeps": 2}, "did you mean sub_steps"),
         ({"states": {"h": {"scale": 1.0, "nearest": "q"}}}, "h: nearest: unknown name 'q'; known: level"),
         ({"floors": {"levle": 0.1}}, "floors: unknown name 'levle'; did you mean level?"),
@@ -193,6 +195,24 @@ def test_rows_are_averaged_and_runs_start_anew(tank: RigParameters) -> None:
 def test_a_recording_that_does_not_fit_is_refused(change: Any, says: str, tank: RigParameters) -> None:
     with pytest.raises(InputError, match=says):
         dt.discover(change(emptying(0.5)), tank)
+
+
+@pytest.mark.parametrize("key", ["window_s", "run_s"])
+def test_windows_that_start_anew_at_every_sample_are_refused(key: str, tank: RigParameters) -> None:
+    """They left nothing, and "no mismatch" was said of any recording."""
+    short = tank.model_copy(update={key: 0.05})
+    with pytest.raises(InputError, match=rf"tank: {key}: got 0.05 s, where a sample comes every 0.1 s; allowed: 0.6 s"):
+        dt.discover(emptying(0.5), short)
+
+
+@pytest.mark.parametrize("change", [{"value": 0.0}, {"value": 1e6, "prior_std": 1e3}])
+def test_a_file_whose_rates_have_no_value_is_one_line(change: dict[str, float]) -> None:
+    """An inertia of nought, a resistance in milliohms: these were tracebacks."""
+    stiff = {"k": {**TANK["parameters"]["k"], **change}, "area": {"value": 1.0, "prior_std": 0.1, "scale": 0.1}}
+    rate = "balance/k" if not change["value"] else "balance/area"
+    rig = RigParameters.model_validate({**TANK, "parameters": stiff, "rates": {"h": rate}})
+    with pytest.raises(InputError, match=r"no fit of tank that stays finite.*check values and units"):
+        dt.discover(emptying(0.5), rig)
 
 
 @pytest.mark.parametrize("change", [lambda t: t.drop(columns="level"), lambda t: t.assign(level=np.nan)])
