@@ -66,8 +66,11 @@ def sentence(result: PointsDiscovery) -> str:
     figures = ", ".join(f"{TITLES[r][0].lower()} {before[r].held_out:.1f} -> {after[r].held_out:.1f} %" for r in moved)
     share = said.fit.share_explained
     whole = "" if share is None else f" This explains {findings.share_words(share)} of the misfit beyond tolerances."
+    # each name was held against the points without the few that differ most (`calibration.held_out`)
+    higher = bool(result.effects) and result.nll_after >= result.nll_before
+    few = ", lower but for the few points that differ most" if higher else ""
     text = (f"The points show {'; '.join(parts)}.{whole} Held-out third: {figures}, negative log-likelihood "
-            f"{result.nll_before:.1f} -> {result.nll_after:.1f} per point.")
+            f"{result.nll_before:.1f} -> {result.nll_after:.1f} per point{few}.")
     if result.more_is_missing:
         text += " More is missing than has a name."
     return text
