@@ -14,13 +14,24 @@ WHOLE = "*"
 # Trees (and single statements) whose meaning is kept: some times the library's.
 _TREES = 8192
 
+_PARSED_AGAIN = 5
+
 # Dunder assignments of a package's __init__ that cannot change a result.
 _INERT_NAMES = frozenset({"__all__", "__version__", "__author__"})
 
 
 @lru_cache(maxsize=_TREES)
 def parsed(text: str) -> ast.Module:
-    """The tree of a text, which nobody may change: whoever reads the same text gets the same one."""
+    """The tree of a text, which nobody may change: whoever reads the same text gets the same one.
+
+    Before 3.11.8 Python counts the depth of all threads' trees in one place (cpython issue 106905): where the garbage
+    collector lets another thread parse meanwhile, a tree is refused that nothing is wrong with, about one run in many.
+    """
+    for _ in range(_PARSED_AGAIN):
+        try:
+            return ast.parse(text)
+        except SystemError:
+            continue
     return ast.parse(text)
 
 
