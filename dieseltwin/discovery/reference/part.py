@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dieseltwin.discovery.likelihood.between_rows import noise_beside, scatter_about
+from dieseltwin.discovery.likelihood.between_rows import scatter_about
 from dieseltwin.discovery.likelihood.fit import first_fit, fit_fully, parameter_lanes
 from dieseltwin.discovery.likelihood.learned import map_columns, running_away
 from dieseltwin.discovery.likelihood.metric import Metric, WhitenedNuisances, Whitening
+from dieseltwin.discovery.likelihood.noise import noise_of
 from dieseltwin.discovery.likelihood.score import effects_beside, secant_sizes
 from dieseltwin.discovery.likelihood.windows import bounded, settled_windows
 from dieseltwin.discovery.reference.conditions import Clock, Conditions, recorded_twin
@@ -21,7 +22,6 @@ from dieseltwin.engine.terms import Term
 from dieseltwin.errors import InputError
 from dieseltwin.learning.belief import GAINS_AT, HEALTH_AT, MAPS_AT, OFFSETS_AT, Belief
 from dieseltwin.least_squares import symmetric_root
-from dieseltwin.recordings.noise import estimate_noise
 from dieseltwin.recordings.reader import Recording
 
 _ROUGH_ROUNDS = 5
@@ -84,14 +84,14 @@ class Part:
         self.conditions = Conditions(self.twin)
         self.at = [MEASURED.index(name) for name in self.twin.channels]
         twin = self.twin
-        whitening = Whitening.of(twin.measured, estimate_noise(twin.measured), twin.starts)
+        whitening = Whitening.of(twin.measured, noise_of(twin), twin.starts)
         rough = fit_fully(twin, whitening, first_fit(twin), rounds=_ROUGH_ROUNDS)
         start = split_growing(rough) or rough.fit
         self._first = start.local
         self.begin(prior)
         self.health = rough.fit.parameters
         self._scatter = scatter_about(twin, start.lanes())
-        self.whitening = Whitening.of(twin.measured, estimate_noise(twin.measured), twin.starts, self._scatter)
+        self.whitening = Whitening.of(twin.measured, noise_of(twin), twin.starts, self._scatter)
         self.left_out = np.zeros(twin.starts.size, dtype=bool)
 
     def begin(self, prior: Belief) -> None:
@@ -114,10 +114,8 @@ class Part:
     def whiten_anew(self, here: Linear, x: Array, residual: Array) -> None:
         """Estimate the noise from what the simulation at a point leaves, in the circumstances that readings show."""
         explained = self.shown(x, self.local) + here.elsewhere(residual)
-        measured, starts = self.twin.measured, self.twin.starts
-        noise = estimate_noise(measured, explained=explained)
-        noise = noise_beside(noise, measured - explained, starts, self._scatter.windows)
-        self.whitening = Whitening.of(measured, noise, starts, self._scatter)
+        noise = noise_of(self.twin, explained, self._scatter.windows)
+        self.whitening = Whitening.of(self.twin.measured, noise, self.twin.starts, self._scatter)
 
     def leave_out(self, windows: np.ndarray) -> None:
         """Use some windows (W,) no longer."""
