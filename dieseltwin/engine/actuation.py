@@ -58,35 +58,48 @@ def standing(
 def _behind_dead_time(
     knots: np.ndarray, values: np.ndarray, delay: float, more: float, factor: np.ndarray | None,
     time: np.ndarray, wanted: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """Times and values of the delayed command at all its breaks and the wanted times; `more` is added where factor."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+    """Times and values of the delayed command at all its breaks and the wanted times, and where the wanted are among
+    them; `more` is added where factor."""
     start = min(time[0], wanted[0])
-    breaks = [knots + delay]
+    breaks = [np.array([start]), knots + delay]
     if more > 0.0:
         breaks.append(knots + delay + more)
         if factor is not None:  # it jumps where the factor does
             jumps = time[1:][np.diff(factor) != 0.0]
             breaks += [jumps - JUMP_S, jumps]
     inner = np.concatenate(breaks)
-    merged = np.union1d(inner[(inner > start) & (inner < wanted[-1])], np.append(wanted, start))
+    merged, at_wanted = _merged(inner[(inner >= start) & (inner < wanted[-1])], wanted)
     delayed = np.interp(merged, knots + delay, values)
     if more > 0.0:
         later = np.interp(merged, knots + delay + more, values)
         at = np.clip(np.searchsorted(time, merged, side="right") - 1, 0, time.size - 1)
         share = np.ones(merged.size) if factor is None else factor[at]
         delayed = delayed + share * (later - delayed)
-    return merged, delayed
+    return merged, delayed, at_wanted
+
+
+def _merged(breaks: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """All times once, in order, and where the wanted ones are, which are so already and many more than the breaks."""
+    breaks = np.unique(breaks)
+    before = np.searchsorted(wanted, breaks)
+    fresh = wanted[np.minimum(before, wanted.size - 1)] != breaks
+    own = np.zeros(wanted.size + np.count_nonzero(fresh), dtype=bool)
+    own[before[fresh] + np.arange(np.count_nonzero(fresh))] = True
+    merged = np.empty(own.size)
+    merged[own], merged[~own] = breaks[fresh], wanted
+    return merged, np.flatnonzero(~own)
 
 
 def _behind_lag(
     time: np.ndarray, values: np.ndarray, tau: float, factor: np.ndarray | None, wanted: np.ndarray
 ) -> np.ndarray:
     """A signal behind a lag of tau [s], settled at its start, at the wanted times; tau is multiplied by factor (n,)."""
-    merged = np.union1d(time, wanted)
+    merged, at_wanted = _merged(time, wanted)
     at = np.clip(np.searchsorted(time, merged, side="right") - 1, 0, time.size - 1)
     taus = np.full(merged.size, tau) if factor is None else tau * factor[at]
     lagged = follow_lanes(merged, np.interp(merged, time, values)[None], np.ascontiguousarray(taus[None]))[0]
-    return lagged[np.searchsorted(merged, wanted)]
+    return lagged[at_wanted]
 
 
 def actuate_with(
@@ -141,8 +154,8 @@ def actuate_with(
             behind = np.clip(np.searchsorted(inputs.time_s, knots, side="right") - 1, 0, None)
             knots, values = play(knots, values, width if acts is None else width * acts[behind])
         more, acts = effect("command", kind, "dead_time")
-        merged, delayed = _behind_dead_time(knots, values, delay, more, acts, inputs.time_s, half)
-        return follow_lags(merged, delayed, np.asarray(taus, dtype=np.float64))[:, np.searchsorted(merged, half)]
+        merged, delayed, at_half = _behind_dead_time(knots, values, delay, more, acts, inputs.time_s, half)
+        return follow_lags(merged, delayed, np.asarray(taus, dtype=np.float64))[:, at_half]
 
     def input_at_half_steps(kind: str, values: np.ndarray) -> np.ndarray:
         tau, acts = effect("input", kind, "lag")

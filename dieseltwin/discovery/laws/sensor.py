@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import cast
 
 import numpy as np
@@ -179,14 +180,27 @@ class _Fits:
         return self._best
 
 
+@dataclass(frozen=True)
+class Resolved:
+    """A law that is resolved, before its report, which takes as many simulations as its search.
+
+    Attributes:
+        score: as `Law.score`.
+        report: the law with its intervals; None where the machine runs away with it.
+    """
+
+    score: float
+    report: Callable[[], Law | None]
+
+
 def laws_in_turn(
     twin: Twin, at: Linearisation, structure: Sequence[Structure], tolerances: Tolerances | None = None,
     since_s: float | None = None,
-) -> Iterator[Law | None]:  # fmt: skip
+) -> Iterator[Resolved]:  # fmt: skip
     """Laws for what no name explains, of a sensor where the linear scores say so, else from the grammar.
 
     The first is the best of the likely points, a second that of all, where it is another; who is content with the first
-    needn't ask for it. None where none is resolved.
+    needn't ask for it. None come where none is resolved.
 
     Args:
         twin: without it.
@@ -199,27 +213,37 @@ def laws_in_turn(
     near = [item for item in structure if item.gain >= _WITHIN * top]
     of_sensors = [item for item in near if item.feature.channel is not None]
     fault = sensor_fault(twin, at, faults_of(of_sensors, twin.channels, since_s), since_s)
+    of_fault = None if fault is None else Resolved(fault.score, partial(fault.law, tolerances))
     if len(of_sensors) == len(near) > 0:
-        yield None if fault is None else fault.law(tolerances)
+        if of_fault is not None:
+            yield of_fault
         return
     inside: LawSearch | None = None
     likely = near_the_best(structure, twin)
     before: Refit | FaultFit | None = None
     for screened in (None,) if likely is None else (likely, None):
         best: Refit | FaultFit | None = fault
-        law: Law | None = None
+        found = of_fault
         try:
             inside = inside or LawSearch(twin, at, tolerances, since_s, structure)
             refit = inside.best(screened)
-            if refit is not None and (fault is None or _is_ahead(refit, fault)):
-                best = refit
-                law = None if refit is before else inside.law()
         except np.linalg.LinAlgError:  # with the best law inside the machine runs away: no law of this machine
-            best = fault
+            refit = None
+        if inside is not None and refit is not None and (fault is None or _is_ahead(refit, fault)):
+            best, found = refit, Resolved(refit.score, partial(_reported, inside, of_fault))
         if before is not None and best is before:
             return
         before = best
-        yield fault.law(tolerances) if law is None and fault is not None else law
+        if found is not None:
+            yield found
+
+
+def _reported(inside: LawSearch, otherwise: Resolved | None) -> Law | None:
+    """The search's law, else the fault of a sensor where the machine runs away with it."""
+    try:
+        return inside.law()
+    except np.linalg.LinAlgError:
+        return None if otherwise is None else otherwise.report()
 
 
 def _is_ahead(refit: Refit, fault: FaultFit) -> bool:
@@ -232,7 +256,8 @@ def best_law(
     twin: Twin, at: Linearisation, structure: Sequence[Structure], tolerances: Tolerances | None = None
 ) -> Law | None:
     """The first of `laws_in_turn`."""
-    return next(laws_in_turn(twin, at, structure, tolerances))
+    first = next(laws_in_turn(twin, at, structure, tolerances), None)
+    return None if first is None else first.report()
 
 
 __all__ = ["FaultFit", "best_law", "faults_of", "laws_in_turn", "sensor_fault"]

@@ -9,6 +9,8 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from dieseltwin.discovery.laws.features import Structure, scored_since
 from dieseltwin.discovery.laws.sensor import laws_in_turn
 from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, fit_fully
@@ -373,24 +375,25 @@ def _law(found: Search) -> None:
         later = scored_since(found.null, terms, since_s)
         if later and later[0].gain > terms[0].gain + 0.5 * least:
             other = replace(found, law=None)
-            _law_of(other, later, since_s)
-            if other.law is not None and other.law.score > least + (0.0 if found.law is None else found.law.score):
+            _law_of(other, later, since_s, least + (0.0 if found.law is None else found.law.score))
+            if other.law is not None:
                 found.law, found.left, found.left_local = other.law, other.left, other.left_local
     found.seconds["law"] = time.perf_counter() - clock
 
 
-def _law_of(found: Search, terms: Sequence[Structure], since_s: float | None) -> None:
-    """A law that is there from a time on, and what it leaves.
+def _law_of(found: Search, terms: Sequence[Structure], since_s: float | None, least: float = -np.inf) -> None:
+    """A law that is there from a time on, and what it leaves; none that explains no more than `least`.
 
     Where it leaves more than it should, points whose linear gains are small are looked at, too: what a large effect
     does isn't linear. A back pressure, 28 % of the best one's, was a law of the turbine's efficiency.
     """
     laws = laws_in_turn(found.twin, found.null, terms,
                         lambda here: tolerance_responses(here.twin, here, found.settings), since_s)  # fmt: skip
-    for law in laws:
-        if law is None or (found.law is not None and law.score <= found.law.score):
-            break
-        found.law = law
+    for resolved in laws:
+        law = resolved.report() if resolved.score > least else None
+        if law is None:
+            continue
+        found.law, least = law, law.score
         found.left, found.left_local = beyond_law(found, law)
         if not found.more_is_missing():
             break

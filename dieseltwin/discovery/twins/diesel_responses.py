@@ -14,6 +14,7 @@ import numpy as np
 
 from dieseltwin.discovery.twins.interface import Array, Lanes, repeated, some_lanes
 from dieseltwin.engine.simulate import Observations
+from dieseltwin.inner import kernel
 
 _STATES = 3  # p_im, p_em, omega_t; the others follow them within a sample
 _STATE_DIFFERENCE = 1e-6  # of a state
@@ -41,19 +42,38 @@ def near(lanes: Lanes, starts: np.ndarray, base: Observations, simulate: Simulat
     sizes = np.array([np.abs(signals[of_lane == j]).max() for j in range(points.size)])
     sizes = np.where(sizes > 0.0, sizes, 1.0)
     moved, seen = _matrices(some_lanes(lanes, slice(0, 1)), starts, base, simulate, points, sizes)
-    driving = np.ascontiguousarray(signals.T)[:, None]  # (n, 1, B): lanes last, where all of them are one product
-    begin, end = _STATES + of_lane, _STATES + points.size + of_lane
-    push = moved[:-1, :, begin] * driving[:-1] + moved[:-1, :, end] * driving[1:]
-    states = np.zeros((signals.shape[1], _STATES, lanes.size))
-    ends = np.append(starts[1:], signals.shape[1])
-    for step in range(int((ends - starts).max()) - 1):
-        rows = (starts + step)[starts + step + 1 < ends]
-        states[rows + 1] = moved[rows, :, :_STATES] @ states[rows] + push[rows]
-    readings = seen[:, :, :_STATES] @ states
-    readings += seen[:, :, _STATES + of_lane] * driving
-    all_states = np.repeat(base.states, lanes.size, axis=0)
-    all_states[..., :_STATES] += states.transpose(2, 0, 1)
-    return Observations(all_states, base.measured + readings.transpose(2, 0, 1))
+    states, measured = np.repeat(base.states, lanes.size, axis=0), np.repeat(base.measured, lanes.size, axis=0)
+    _march(moved, seen, np.ascontiguousarray(signals), of_lane, starts, states, measured)
+    return Observations(states, measured)
+
+
+@kernel(error_model="numpy")
+def _march(moved, seen, signals, of_lane, starts, states, measured):  # type: ignore[no-untyped-def]
+    """Add to `states` (B, n, S) and `measured` (B, n, C), those of no signal, what the lanes' signals (B, n) change."""
+    count, (lanes, n) = (moved.shape[2] - _STATES) // 2, signals.shape
+    is_start = np.zeros(n, dtype=np.bool_)
+    is_start[starts] = True
+    x, before = np.zeros(_STATES), np.zeros(_STATES)
+    for lane in range(lanes):
+        begin, signal = _STATES + of_lane[lane], signals[lane]
+        end = begin + count
+        for k in range(n):
+            if k == 0 or is_start[k]:
+                x[:] = 0.0
+            else:
+                before[:] = x
+                for i in range(_STATES):
+                    row = moved[k - 1, i]
+                    x[i] = row[begin] * signal[k - 1] + row[end] * signal[k]
+                    for j in range(_STATES):
+                        x[i] += row[j] * before[j]
+            for i in range(_STATES):
+                states[lane, k, i] += x[i]
+            for c in range(measured.shape[2]):
+                row = seen[k, c]
+                measured[lane, k, c] += row[begin] * signal[k]
+                for j in range(_STATES):
+                    measured[lane, k, c] += row[j] * x[j]
 
 
 def _matrices(

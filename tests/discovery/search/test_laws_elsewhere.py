@@ -14,6 +14,7 @@ from dieseltwin.challenge.routes import draw_driving
 from dieseltwin.challenge.sensors import SensorSet, read
 from dieseltwin.discovery.laws.reading_twin import ReadingFault
 from dieseltwin.discovery.laws.search import Law
+from dieseltwin.discovery.laws.sensor import Resolved
 from dieseltwin.discovery.likelihood.fit import fit_fully
 from dieseltwin.discovery.likelihood.metric import Whitening
 from dieseltwin.discovery.options import Options
@@ -78,3 +79,24 @@ def test_evidences_of_laws_hold_what_normalises_the_noise() -> None:
     loose.whitening = Whitening.of(twin.measured, noise, twin.starts)
     loose.null = fit_fully(twin, loose.whitening, found.null.fit)
     assert evidence_of(loose.null) < evidence_of(found.null) and search_run._better_law(found, loose) is found
+
+
+def test_a_law_that_explains_too_little_is_not_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A report takes as many simulations as the search; of a law from a time on that isn't ahead nobody reads it."""
+    reported: list[float] = []
+
+    def resolved(score: float) -> Resolved:
+        def report() -> Law:
+            reported.append(score)
+            return cast(Law, SimpleNamespace(score=score))
+
+        return Resolved(score, report)
+
+    found = cast(Search, SimpleNamespace(twin=None, null=None, law=None, more_is_missing=lambda: True))
+    monkeypatch.setattr(search_run, "laws_in_turn", lambda *a: iter([resolved(30.0), resolved(20.0), resolved(50.0)]))
+    monkeypatch.setattr(search_run, "beyond_law", lambda found, law: ([], []))
+    search_run._law_of(found, (), None)
+    assert reported == [30.0, 50.0]
+    reported.clear()
+    search_run._law_of(found, (), 12.0, 40.0)
+    assert reported == [50.0] and found.law is not None and found.law.score == 50.0

@@ -57,6 +57,24 @@ def test_a_fit_takes_shorter_steps_where_the_machine_runs_away() -> None:
     assert reached.fit.objective < Linearisation(toy, whitening, start, None, response).fit.objective
 
 
+def test_a_step_that_leads_uphill_costs_one_simulation() -> None:
+    """Sensitivities are worked out where a trial is lower, not at each trial."""
+    begun: list[float] = []
+
+    class Counted(Explosive):
+        def simulate(self, lanes: Lanes) -> np.ndarray:
+            if lanes.size == 1 + len(self.parameters) + len(self.states):  # of a linearisation
+                begun.append(float(lanes.parameters[0, 0]))
+            return super().simulate(lanes)
+
+    toy = Counted(900, 6).record(gain=1.15)
+    whitening, start = _fit(toy, 1.0)
+    begun.clear()
+    reached = fit_fully(toy, whitening, start)
+    assert reached.fit.parameters[0] == pytest.approx(1.15, abs=0.003)
+    assert 2 <= len(begun) <= 6 and max(begun) < 1.153
+
+
 def test_one_run_without_an_end_is_no_error_of_the_others() -> None:
     """Beside tolerances it was a traceback: vanes that were recorded the wrong way round."""
     toy = Toy(900, 6).record(gain=1.1)
