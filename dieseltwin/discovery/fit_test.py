@@ -20,6 +20,7 @@ from dieseltwin.discovery.recording_faults import Suspicion, recording_faults, s
 from dieseltwin.discovery.search.preparation import prepare
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.diesel import EngineTwin
+from dieseltwin.discovery.twins.diesel_circumstances import beside_its_compressor
 from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.discovery.verdict.explained import disagreement
 from dieseltwin.discovery.verdict.health_value import SinceReference
@@ -287,7 +288,9 @@ def _searched(
 ) -> tuple[Search, Sequence[Suspect], Sequence[Excess]]:
     columns = {**part.columns, **{name: _with_noise(part.columns[name], name) for name in sensors}}
     belief = None if learned is None else learned.belief
-    twin = EngineTwin(replace(part, columns=Columns(columns)), engine, sensors, belief=belief)
+    noisy = replace(part, columns=Columns(columns))
+    twin = EngineTwin(noisy, engine, sensors, belief=belief) if belief is None else beside_its_compressor(
+        noisy, engine, sensors, belief)  # fmt: skip
     twin.between_rows = between_rows
     found = prepare(twin, Options().settings())
     faults = suspicions(found.null, recording_faults(twin, found.null))

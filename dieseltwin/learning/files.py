@@ -49,6 +49,7 @@ from dieseltwin.learning.belief import (
     with_further,
 )
 from dieseltwin.learning.faults import FaultBeside
+from dieseltwin.learning.weather import EXPONENTS, WEATHER, of_own_weather
 from dieseltwin.notes import Note, counted
 from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.derived import Made
@@ -65,7 +66,7 @@ doesn't fit may be the reference's"
 UNTOLD = "the engine's maps are corrected, but nothing says how well the corrections are known (no `learned:` in its \
 file): they are taken for exact, so that intervals are too narrow, and nothing is told since the reference; give the \
 file of `dieseltwin learn`, or of a discovery beside it"
-_MAY_DIFFER = (*HEALTH, "p_amb", "T_amb", "T_im", "terms")  # in the file of a repaired engine, or on another day
+_MAY_DIFFER = (*HEALTH, *EXPONENTS, "p_amb", "T_amb", "T_im", "terms")  # of a repaired engine, or on another day
 _RANGE = "_range"  # in names of limits of the inputs, which are no maps
 _KEY = b"dieseltwin.learned"
 
@@ -126,7 +127,11 @@ class LearnedEngine:
             return self.repaired
         health = {name: float(value) for name, value in zip(HEALTH, self.belief.health, strict=True)}
         term = CorrectionTerm(coefficients=tuple(float(value) for value in self.belief.coefficients))
-        return self.base.replace(**health, terms=(*self.base.terms, term))
+        return self.in_its_weather(self.base).replace(**health, terms=(*self.base.terms, term))
+
+    def in_its_weather(self, engine: EngineParameters) -> EngineParameters:
+        """An engine whose compressor's maps are of the weather of these recordings."""
+        return of_own_weather(engine, self.recordings)
 
     @property
     def found(self) -> tuple[EffectTerm | LawTerm, ...]:
@@ -252,8 +257,11 @@ def load_learned(path: Path) -> LearnedEngine | None:
         return None
     known = _parsed(learned_bytes(path, document), path.with_name(str(document[LEARNED])))
     engine = load_engine(path)
+    if WEATHER[0] not in document:  # an earlier version wrote it
+        engine = known.in_its_weather(engine)
+    base = known.in_its_weather(known.base)
     for name in type(engine).model_fields:
-        got, value = getattr(engine, name), getattr(known.base, name)
+        got, value = getattr(engine, name), getattr(base, name)
         if got != value and name not in _MAY_DIFFER and not name.endswith(_RANGE):
             raise InputError(f"{path}: {name}", _in_digits(got), f"{_in_digits(value)}, with which it was learned",
                              "change the base, and learn again with --engine naming that")  # fmt: skip

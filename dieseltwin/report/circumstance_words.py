@@ -35,6 +35,9 @@ def circumstance_words(item: FoundCircumstance) -> str:
     if kind == "scale":
         burns = _with_deviation(100.0 * item.value, 100.0 * item.std, 1)
         return f"the fuel that burns is {burns} % of what is recorded"
+    if kind == "corrected":
+        maps = {"k_cflow": "efficiency follows corrected flow", "k_cspeed": "flow follows corrected speed"}[column]
+        return f"the compressor's {maps} by {_with_deviation(100.0 * item.value, 100.0 * item.std, 0)} %"
     words = {"p_amb_pa": "the ambient pressure", "t_amb_k": "the ambient temperature",
              "t_im_k": "the temperature behind the charge cooler"}[column]  # fmt: skip
     factor, shift, unit = (1e-3, 0.0, "kPa") if item.unit == "Pa" else (1.0, -273.15, "°C")

@@ -18,7 +18,7 @@ from dieseltwin.discovery.search.preparation import prepare
 from dieseltwin.discovery.twins.diesel_circumstances import LoggedTwin
 from dieseltwin.discovery.twins.interface import Array, Lanes
 from dieseltwin.engine import EngineParameters
-from dieseltwin.recordings.circumstances import DRIFT, TIME_SHIFT, Circumstance
+from dieseltwin.recordings.circumstances import CORRECTED, DRIFT, TIME_SHIFT, Circumstance
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.settings.defaults import default_search
 
@@ -51,14 +51,16 @@ def recorded_twin(recording: Recording, engine: EngineParameters, map_rms: float
 
 
 def open_of(twin: WithCircumstances) -> tuple[Circumstance, ...]:
-    """What stays open of a reference: clocks that were found to be off, ambient and charge that no column gives.
+    """What stays open of a reference: clocks that were found to be off, ambient and charge that no column gives, and
+    what the compressor does in weather that isn't the mean of all recordings.
 
     A charge of another temperature is one product with the level of eta_vol. It has to be open even so: two pieces of a
     reference whose charges are 5 K apart would be met by a map that is off in between, and known too well.
     """
     unread = {item.column for item in twin.circumstances if not item.kind and not item.read}
     weather = (item for item in twin.circumstances if item.kind in ("", DRIFT) and item.column in unread)
-    return (*weather, *(item for item in twin.circumstances if item.name in twin.opened))
+    compressor = (item for item in twin.circumstances if item.kind == CORRECTED)
+    return (*weather, *compressor, *(item for item in twin.circumstances if item.name in twin.opened))
 
 
 @dataclass(frozen=True)

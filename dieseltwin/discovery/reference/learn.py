@@ -29,6 +29,7 @@ from dieseltwin.learning.belief import HEALTH_AT, NOTHING_FURTHER, Belief, Furth
 from dieseltwin.learning.domain import domain_of
 from dieseltwin.learning.faults import FaultBeside
 from dieseltwin.learning.files import LearnedEngine
+from dieseltwin.learning.weather import of_own_weather
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.recordings.shared_rows import distinct
 from dieseltwin.settings.defaults import default_learn, default_search
@@ -95,14 +96,13 @@ def learn_engine(
         base, map_rms, recordings = known.base, known.map_rms, [*known.recordings, *recordings]
         prior = known.prior if prior is None else prior
     together = distinct(recordings)
-    found = learn(together, base, map_rms, settings, prior)
+    found = learn(together, of_own_weather(base, together), map_rms, settings, prior)
     misfits = {item.sha256: part.misfit for item, part in zip(together, found.evidence, strict=True)}
     domain = domain_of(found.belief, map_rms * found.further.size, base)
-    known_now = LearnedEngine(
+    return LearnedEngine(
         base, found.belief, map_rms, together, domain, misfits, prior, found.further, found.clocks, found.converged,
         faults=found.faults,
-    )
-    return known_now, found
+    ), found  # fmt: skip
 
 
 def learn(
