@@ -18,6 +18,7 @@ from dieseltwin.learning.belief import MAPS_AT, Belief, prior_belief
 from dieseltwin.learning.domain import domain_of
 from dieseltwin.learning.faults import FaultBeside
 from dieseltwin.learning.files import LearnedEngine, going_on, load_learned, overlap, save_learned
+from dieseltwin.learning.weather import EXPONENTS, WEATHER, of_own_weather
 from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.reader import Recording, recording
 from dieseltwin.recordings.shared_rows import distinct
@@ -200,6 +201,35 @@ def test_an_engine_that_is_as_it_was_learned_is_not_repaired(tmp_path: Path, two
     assert known is not None and known.repaired is None and known.moved is None and not known.found
     save_learned(replace(known, repaired=known.engine), tmp_path / "healthy.yaml")
     assert load_engine(tmp_path / "healthy.yaml") == known.engine
+
+
+def _other_weather(path: Path, change: Callable[[str], str]) -> None:
+    lines = [line for line in path.read_text().splitlines() if not line.startswith("# content_sha256:")]
+    path.write_text("\n".join(line for line in map(change, lines) if line))
+
+
+def test_a_file_of_before_has_its_compressor_in_the_weather_of_its_recordings(tmp_path: Path, two):
+    path = tmp_path / "mine.yaml"
+    one, other = (replace(item, p_amb_pa=p_amb, t_amb_k=290.0) for item, p_amb in zip(two, (9e4, 1e5), strict=True))
+    learned = _learned(one, other)
+    save_learned(learned, path)
+    assert learned.engine.p_cmap == pytest.approx(9.5e4) and learned.engine.k_cflow == 0.5
+    _other_weather(path, lambda line: "" if line.split(":")[0] in (*EXPONENTS, *WEATHER) else line)
+    assert load_engine(path).k_cflow == 0.0  # as it was written
+    known = load_learned(path)
+    assert known is not None and known.repaired is None and known.engine == learned.engine
+
+
+def test_an_engine_file_may_say_how_its_compressor_goes_and_not_in_which_weather_it_was_learned(tmp_path: Path, two):
+    path, corrected = tmp_path / "mine.yaml", we2011.PARAMETERS.replace(k_cflow=1.0)
+    assert of_own_weather(corrected, two).k_cflow == 1.0 and of_own_weather(corrected, two).k_cspeed == 0.5
+    save_learned(_learned(*two), path)
+    _other_weather(path, lambda line: "k_cflow: 1.0" if line.startswith("k_cflow") else line)
+    known = load_learned(path)
+    assert known is not None and known.engine.k_cflow == 1.0 and not known.found
+    _other_weather(path, lambda line: "T_cmap: 260.0" if line.startswith("T_cmap") else line)
+    with pytest.raises(InputError, match=r"T_cmap: got 260"):
+        load_learned(path)
 
 
 def test_learning_goes_on_from_an_engine_as_it_was_learned(two):
