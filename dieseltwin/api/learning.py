@@ -16,7 +16,8 @@ from dieseltwin.api.petrol import PetrolCalibrated, learn_petrol
 from dieseltwin.api.reading import Channels, Made, Source, diesel_recording, several
 from dieseltwin.api.reference_faults import alike_line, hidden_line, suspected_faults
 from dieseltwin.api.results import Result, drawn
-from dieseltwin.discovery.reference.learn import Learned, learn_engine
+from dieseltwin.discovery.reference.evidence import Learned
+from dieseltwin.discovery.reference.learn import learn_engine
 from dieseltwin.discovery.verdict.checks import check_recording, check_rows
 from dieseltwin.engine import HEALTH, MEASURED, EngineParameters, we2011
 from dieseltwin.engine.map_corrections import ARGUMENTS, CORRECTED_POINTS, basis
@@ -259,6 +260,12 @@ def summary(learned: LearnedEngine) -> list[str]:
         f"  {name:<10}{_in_its_unit(name, value):>17} ± {100 * s / value:.2g} %, {100 * (value / then - 1):+.1f} % "
         "from the base"
         for name, value, s, then in zip(HEALTH, belief.health, std, learned.base.health(), strict=True)
+    ]
+    lines += [
+        f"  the compressor's {of} follows corrected {by} by {100.0 * item.value:.0f} ± {100.0 * item.std:.2g} % "
+        "(0 % is the published model), as recordings in different weather show"
+        for name, of, by in (("k_cflow", "efficiency", "flow"), ("k_cspeed", "flow", "speed"))
+        if (item := learned.exponents.get(name)) is not None
     ]
     further = learned.further
     rough, of_ratio = (100.0 * learned.errors * v**0.5 for v in (further.rough, further.of_ratio))

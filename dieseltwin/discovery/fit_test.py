@@ -35,6 +35,7 @@ from dieseltwin.recordings.between_rows import rows_are_slow, rows_may_be_slow
 from dieseltwin.recordings.columns import Columns
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.sensors import MEASURED, SENSORS
+from dieseltwin.settings.defaults import default_search
 
 LONGEST_PART_S = 600.0
 """A longer recording is tested in parts of at most this length [s], so that memory stays bounded."""
@@ -290,7 +291,8 @@ def _searched(
     belief = None if learned is None else learned.belief
     noisy = replace(part, columns=Columns(columns))
     twin = EngineTwin(noisy, engine, sensors, belief=belief) if belief is None else beside_its_compressor(
-        noisy, engine, sensors, belief)  # fmt: skip
+        noisy, engine, sensors, belief, None if learned is None else learned.beliefs(default_search().circumstances)
+    )  # fmt: skip
     twin.between_rows = between_rows
     found = prepare(twin, Options().settings())
     faults = suspicions(found.null, recording_faults(twin, found.null))

@@ -49,7 +49,7 @@ from dieseltwin.learning.belief import (
     with_further,
 )
 from dieseltwin.learning.faults import FaultBeside
-from dieseltwin.learning.weather import EXPONENTS, WEATHER, of_own_weather
+from dieseltwin.learning.weather import EXPONENTS, WEATHER, Exponent, of_own_weather
 from dieseltwin.notes import Note, counted
 from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.derived import Made
@@ -57,6 +57,7 @@ from dieseltwin.recordings.reader import Recording
 from dieseltwin.recordings.shared_rows import share_known
 from dieseltwin.sealed import sealed_text
 from dieseltwin.settings.names import listed
+from dieseltwin.settings.search import CircumstanceSettings
 from dieseltwin.settings.strict import read_mapping
 from dieseltwin.version import __version__
 
@@ -92,6 +93,7 @@ class LearnedEngine:
             that a discovery found since; None for the engine as it was learned. The belief is that of learning.
         faults: the main faults as the recordings say them where no map is off by more than usual; none where an earlier
             version learned it.
+        exponents: of the compressor by name, where the recordings are in different weather.
     """
 
     base: EngineParameters
@@ -107,6 +109,7 @@ class LearnedEngine:
     suspected: tuple[str, ...] = ()
     repaired: EngineParameters | None = None
     faults: tuple[FaultBeside, ...] = ()
+    exponents: Mapping[str, Exponent] = field(default_factory=dict)
 
     @property
     def errors(self) -> float:
@@ -131,7 +134,11 @@ class LearnedEngine:
 
     def in_its_weather(self, engine: EngineParameters) -> EngineParameters:
         """An engine whose compressor's maps are of the weather of these recordings."""
-        return of_own_weather(engine, self.recordings)
+        return of_own_weather(engine, self.recordings, self.exponents)
+
+    def beliefs(self, beliefs: CircumstanceSettings) -> CircumstanceSettings:
+        """What is believed of a recording's circumstances, with what these recordings show of the compressor."""
+        return beliefs.model_copy(update={name: item.std for name, item in self.exponents.items()})
 
     @property
     def found(self) -> tuple[EffectTerm | LawTerm, ...]:
@@ -299,6 +306,7 @@ def _parquet(learned: LearnedEngine) -> bytes:
         "schema": SCHEMA, "code_version": __version__, "map_rms": learned.map_rms, "domain": learned.domain,
         "further": asdict(learned.further), "clocks": dict(learned.clocks), "converged": learned.converged,
         "suspected": list(learned.suspected), "faults": [asdict(item) for item in learned.faults],
+        "exponents": {name: asdict(item) for name, item in learned.exponents.items()},
         "base": learned.base.model_dump(mode="json"),
         "recordings": [
             {
@@ -346,6 +354,7 @@ def _parsed(content: bytes, where: Path) -> LearnedEngine:
         {row["sha256"]: float(row["misfit"]) for row, _ in known}, prior, Further(**further),
         dict(about.get("clocks", {})), bool(about.get("converged", True)),
         tuple(about.get("suspected", ())), faults=tuple(FaultBeside(**item) for item in about.get("faults", ())),
+        exponents={name: Exponent(**item) for name, item in about.get("exponents", {}).items()},
     )  # fmt: skip
 
 

@@ -7,12 +7,14 @@ what was learned there says nothing of which holds: 1500 m higher the efficiency
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dieseltwin.engine import EngineParameters
 from dieseltwin.recordings.reader import Recording
+from dieseltwin.settings.search import CircumstanceSettings
 
 UNDECIDED = 0.5
 """Exponent halfway between mass flow and corrected flow, and between speed and corrected speed [-]."""
@@ -24,7 +26,17 @@ WEATHER = ("p_cmap", "T_cmap")
 """Engine parameters that say which weather its maps are of."""
 
 
-def of_own_weather(engine: EngineParameters, recordings: Sequence[Recording]) -> EngineParameters:
+@dataclass(frozen=True)
+class Exponent:
+    """What recordings in different weather say of an exponent: value and standard deviation [-]."""
+
+    value: float
+    std: float
+
+
+def of_own_weather(
+    engine: EngineParameters, recordings: Sequence[Recording], known: Mapping[str, Exponent] | None = None
+) -> EngineParameters:
     """An engine whose compressor's maps are of the mean weather of some recordings.
 
     What an engine file says of the exponents stays, but for 0, which every engine has of which nobody said anything.
@@ -32,11 +44,38 @@ def of_own_weather(engine: EngineParameters, recordings: Sequence[Recording]) ->
     Args:
         engine: before anything is learned.
         recordings: that it is learned from.
+        known: exponents that these show, by name.
     """
     weights = np.array([item.running_s for item in recordings])
     p_amb, t_amb = (
         float(np.average([getattr(item, name) for item in recordings], weights=weights))
         for name in ("p_amb_pa", "t_amb_k")
     )
-    undecided = {name: UNDECIDED for name in EXPONENTS if getattr(engine, name) == 0.0}
-    return engine.replace(p_cmap=p_amb, T_cmap=t_amb, **undecided)
+    values = {name: item.value for name, item in (known or {}).items()}
+    open_ones = {name: values.get(name, UNDECIDED) for name in EXPONENTS if getattr(engine, name) == 0.0}
+    return engine.replace(p_cmap=p_amb, T_cmap=t_amb, **open_ones)
+
+
+def as_sure_as_the_weather(
+    exponents: Mapping[str, Exponent], recordings: Sequence[Recording], engine: EngineParameters,
+    beliefs: CircumstanceSettings,
+) -> dict[str, Exponent]:  # fmt: skip
+    """Exponents known no better than the sensors of the weather let them be, of those of which that leaves anything.
+
+    A barometer that is 0.3 kPa off on one of several days is 0.3 % of the compressor's flow: as much as corrected speed
+    is, in place of speed, with 3 K between the days.
+
+    Args:
+        exponents: by name; recordings: that show them; engine: of their weather (`of_own_weather`).
+        beliefs: how far a reading of the weather may be off, and how far what no column gives.
+    """
+    read = [name in item.columns for item in recordings for name in ("p_amb_pa", "t_amb_k")]
+    p_std, t_std = (beliefs.p_amb_read_pa, beliefs.t_amb_read_k) if all(read) else (beliefs.p_amb_pa, beliefs.t_amb_k)
+    error = np.hypot(p_std / engine.p_cmap, 0.5 * t_std / engine.T_cmap)
+    warmer = 0.5 * np.log([item.t_amb_k / engine.T_cmap for item in recordings])
+    more = {"k_cflow": warmer - np.log([item.p_amb_pa / engine.p_cmap for item in recordings]), "k_cspeed": warmer}
+    found = {
+        name: replace(item, std=float(np.hypot(item.std, error / np.sqrt(np.mean(more[name] ** 2)))))
+        for name, item in exponents.items()
+    }
+    return {name: item for name, item in found.items() if item.std < getattr(beliefs, name)}

@@ -53,8 +53,8 @@ def compressor_words(document: Discrepancy) -> list[str]:
         else f"on {shown_day(document.recordings[item.recording - 1].date)} {circumstance_words(item)}"
         for item in document.circumstances if kind_of(item.name) == CORRECTED
     ]  # fmt: skip
-    return [f"the weather isn't that in which the engine was learned, and 0 % (as published) as likely as 100 %: "
-            f"{listing(told)}; limits and intervals hold what that leaves open"] if told else []  # fmt: skip
+    return [f"the weather isn't that in which the engine was learned: {listing(told)} (0 % is the published model); "
+            "limits and intervals hold what that leaves open"] if told else []  # fmt: skip
 
 
 def shown_day(date: str) -> str:

@@ -10,26 +10,25 @@ belief that they ask for.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from dieseltwin.discovery.reference.conditions import Weather, clocks_of_all
-from dieseltwin.discovery.reference.evidence import Evidence, combined
+from dieseltwin.discovery.reference.conditions import Weather, clocks_of_all, exponents_together
+from dieseltwin.discovery.reference.evidence import Evidence, Learned, combined
 from dieseltwin.discovery.reference.faults import main_faults
 from dieseltwin.discovery.reference.further import further_errors, gain_of
 from dieseltwin.discovery.reference.part import Linear, Part
 from dieseltwin.discovery.reference.suspicion import Suspicion
 from dieseltwin.discovery.twins.interface import Array, Hypothesis
 from dieseltwin.engine import EngineParameters
-from dieseltwin.learning.belief import HEALTH_AT, NOTHING_FURTHER, Belief, Further, prior_belief, with_further
+from dieseltwin.learning.belief import HEALTH_AT, NOTHING_FURTHER, Belief, prior_belief, with_further
 from dieseltwin.learning.domain import domain_of
 from dieseltwin.learning.faults import FaultBeside
 from dieseltwin.learning.files import LearnedEngine
-from dieseltwin.learning.weather import of_own_weather
+from dieseltwin.learning.weather import Exponent, as_sure_as_the_weather, of_own_weather
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.recordings.shared_rows import distinct
 from dieseltwin.settings.defaults import default_learn, default_search
@@ -48,31 +47,6 @@ _SIFTED = 3  # times that windows are looked at for what doesn't act linearly, w
 _SHRINKS = (1.0, 0.4, 0.16, 0.064)
 _DAMPINGS = (0.01, 0.1, 1.0)  # of an unknown's own information
 _LEAST_INFORMATION = 1e-6  # of an effect's information, that must be left when all coordinates are taken out
-
-
-@dataclass(frozen=True)
-class Learned:
-    """What some recordings say together.
-
-    Attributes:
-        belief: after all of them.
-        evidence: of each, linearised about what all say.
-        converged: whether all fits did, and linearising anew changed nothing worth naming.
-        further: errors of the maps beyond the usual ones, as the recordings ask for them.
-        suspicions: effects by which the reference itself looks faulty, strongest first.
-        clocks: column -> how late it is recorded, of those whose clock is off [s].
-        strange: weather and charge of a recording that lie where next to nobody drives.
-        faults: the main faults, each fitted beside maps that are believed to be off by no more than usual.
-    """
-
-    belief: Belief
-    evidence: tuple[Evidence, ...]
-    converged: bool
-    further: Further
-    suspicions: tuple[Suspicion, ...] = ()
-    clocks: Mapping[str, float] = field(default_factory=dict)
-    strange: tuple[Weather, ...] = ()
-    faults: tuple[FaultBeside, ...] = ()
 
 
 def learn_engine(
@@ -96,12 +70,14 @@ def learn_engine(
         base, map_rms, recordings = known.base, known.map_rms, [*known.recordings, *recordings]
         prior = known.prior if prior is None else prior
     together = distinct(recordings)
-    found = learn(together, of_own_weather(base, together), map_rms, settings, prior)
+    own = of_own_weather(base, together)
+    found = learn(together, own, map_rms, settings, prior)
     misfits = {item.sha256: part.misfit for item, part in zip(together, found.evidence, strict=True)}
     domain = domain_of(found.belief, map_rms * found.further.size, base)
+    exponents = as_sure_as_the_weather(found.exponents, together, own, default_search().circumstances)
     return LearnedEngine(
         base, found.belief, map_rms, together, domain, misfits, prior, found.further, found.clocks, found.converged,
-        faults=found.faults,
+        faults=found.faults, exponents=exponents,
     ), found  # fmt: skip
 
 
@@ -152,7 +128,7 @@ def learn(
     least = default_search().driving.alarm_size
     suspicions = tuple(item for item in joint.suspicions(settings.suspicious_gain) if item.tolerances >= least)
     return Learned(combined(prior, evidence), evidence, converged, further, suspicions, joint.clocks(), joint.strange(),
-                   beside or main_faults(joint, settings.suspicious_gain))  # fmt: skip
+                   beside or main_faults(joint, settings.suspicious_gain), joint.exponents())  # fmt: skip
 
 
 class _Joint:
@@ -238,25 +214,32 @@ class _Joint:
     def _put_right(self) -> None:
         """Simulate in the clocks and the weather that the readings show beside the maps as corrected by now. They are
         open all the time, but linear only near where the simulation is."""
-        rows = zip(self.parts, self.at, self.residuals, strict=True)
-        there = [part.put_right(at, self.x, rest) for part, at, rest in rows]
+        there = [part.put_right(at, self.x, rest) for part, at, rest in self._left()]
         if any(there):
             self.at = [new or at for new, at in zip(there, self.at, strict=True)]
             self._simulate()
 
     def clocks(self) -> Mapping[str, float]:
         """Column -> how late all recordings together show it to be [s]."""
-        rows = zip(self.parts, self.at, self.residuals, strict=True)
-        return clocks_of_all([part.clocks(at, rest) for part, at, rest in rows])
+        return clocks_of_all([part.clocks(at, rest) for part, at, rest in self._left()])
+
+    def exponents(self) -> Mapping[str, Exponent]:
+        """What all recordings together show of the compressor's exponents, by name; none in one weather."""
+        found = [part.exponents(at, rest) for part, at, rest in self._left()]
+        covariance = np.asarray(np.linalg.inv(self._information()))
+        return exponents_together(found, covariance, default_search().circumstances)
 
     def strange(self) -> tuple[Weather, ...]:
         """Weather and charge in which next to nobody drives."""
-        rows = zip(self.parts, self.at, self.residuals, strict=True)
-        return tuple(item for part, at, rest in rows for item in part.conditions.strange(at.conditions_at(rest)))
+        return tuple(item for part, at, rest in self._left()
+                     for item in part.conditions.strange(at.conditions_at(rest)))  # fmt: skip
+
+    def _left(self) -> Iterator[tuple[Part, Linear, Array]]:
+        return zip(self.parts, self.at, self.residuals, strict=True)
 
     def whiten_anew(self) -> None:
         """Estimate the noise of every recording from what the maps as corrected by now leave."""
-        for part, at, rest in zip(self.parts, self.at, self.residuals, strict=True):
+        for part, at, rest in self._left():
             part.whiten_anew(at, self.x, rest)
         self._rewhiten()
 

@@ -14,7 +14,7 @@ from dieseltwin.discovery.likelihood.metric import Metric, WhitenedNuisances, Wh
 from dieseltwin.discovery.likelihood.noise import noise_of
 from dieseltwin.discovery.likelihood.score import effects_beside, secant_sizes
 from dieseltwin.discovery.likelihood.windows import bounded, settled_windows
-from dieseltwin.discovery.reference.conditions import Clock, Conditions, recorded_twin
+from dieseltwin.discovery.reference.conditions import Clock, Conditions, Exponents, recorded_twin
 from dieseltwin.discovery.search.preparation import split_growing
 from dieseltwin.discovery.twins.interface import Array, rows_of, single
 from dieseltwin.engine import HEALTH, MEASURED, EngineParameters
@@ -144,6 +144,10 @@ class Part:
     def clocks(self, here: Linear, residual: Array) -> tuple[Clock, ...]:
         """Clocks that are open, as readings less simulation (n, C) say them."""
         return self.conditions.clocks(self.twin, here.metric, here.conditions_at(residual))
+
+    def exponents(self, here: Linear, residual: Array) -> Exponents:
+        """Exponents of the compressor, where they are open, as readings less simulation (n, C) say them."""
+        return self.conditions.exponents(here.metric, here.conditions_at(residual), here.columns)
 
     def residual(self, x: Array, local: Array) -> Array:
         """Readings less simulation (n, C), 0 where there is no reading."""

@@ -100,16 +100,16 @@ def exponents_of(
 
     Args:
         recording: in the weather that it is judged in.
-        engine: with exponents between 0 and 1 where nobody knows; those that are said to be 0 or 1 stay.
+        engine: with its exponents; those that are said to be 0 or 1 stay, as in the published engine.
         priors: what else is believed; weather that no sensor tells from that of the maps is the same.
     """
     colder = abs(recording.t_amb_k - engine.T_cmap) > priors.t_amb_read_k
     thinner = abs(recording.p_amb_pa - engine.p_cmap) > priors.p_amb_read_pa
     matters = {"k_cflow": colder or thinner, "k_cspeed": colder}
     return tuple(
-        Circumstance(f"{CORRECTED}:{name}", getattr(engine, name), priors.corrected, "-", np.inf, True)
+        Circumstance(f"{CORRECTED}:{name}", getattr(engine, name), getattr(priors, name), "-", np.inf, True)
         for name in EXPONENTS
-        if matters[name] and 0.0 < getattr(engine, name) < 1.0
+        if matters[name] and getattr(engine, name) not in (0.0, 1.0)
     )
 
 
@@ -271,11 +271,12 @@ class LoggedTwin(EngineTwin):
 
 
 def beside_its_compressor(
-    recording: Recording, engine: EngineParameters, sensors: Sequence[str], belief: Belief
-) -> LoggedTwin:
+    recording: Recording, engine: EngineParameters, sensors: Sequence[str], belief: Belief,
+    beliefs: CircumstanceSettings | None = None,
+) -> LoggedTwin:  # fmt: skip
     """The twin of a learned engine's recording of which all is believed but what its compressor does in that weather;
     the charge's temperature is the engine's. Arguments as of `LoggedTwin`."""
     columns = {name: values for name, values in recording.columns.items() if name != "t_im_k"}
-    twin = LoggedTwin(replace(recording, columns=Columns(columns)), engine, sensors, belief=belief)
+    twin = LoggedTwin(replace(recording, columns=Columns(columns)), engine, sensors, belief=belief, beliefs=beliefs)
     twin.circumstances = tuple(item for item in twin.circumstances if item.kind == CORRECTED)
     return twin

@@ -13,7 +13,8 @@ from dieseltwin.challenge.plant_effects import Fault
 from dieseltwin.challenge.routes import draw_driving
 from dieseltwin.challenge.sensors import SensorSet, read
 from dieseltwin.discovery.reference import part as part_module
-from dieseltwin.discovery.reference.learn import Learned, _Joint, combined, learn, learn_engine
+from dieseltwin.discovery.reference.evidence import Learned, combined
+from dieseltwin.discovery.reference.learn import _Joint, learn, learn_engine
 from dieseltwin.discovery.reference.part import Part
 from dieseltwin.engine import HEALTH, we2011
 from dieseltwin.errors import InputError
