@@ -49,7 +49,7 @@ from dieseltwin.learning.belief import (
     with_further,
 )
 from dieseltwin.learning.faults import FaultBeside
-from dieseltwin.learning.weather import EXPONENTS, WEATHER, Exponent, of_own_weather
+from dieseltwin.learning.weather import EXPONENTS, WEATHER, Exponent, beside_exponents, of_own_weather
 from dieseltwin.notes import Note, counted
 from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.derived import Made
@@ -138,7 +138,7 @@ class LearnedEngine:
 
     def beliefs(self, beliefs: CircumstanceSettings) -> CircumstanceSettings:
         """What is believed of a recording's circumstances, with what these recordings show of the compressor."""
-        return beliefs.model_copy(update={name: item.std for name, item in self.exponents.items()})
+        return beside_exponents(beliefs, self.exponents)
 
     @property
     def found(self) -> tuple[EffectTerm | LawTerm, ...]:

@@ -8,7 +8,7 @@ what was learned there says nothing of which holds: 1500 m higher the efficiency
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,6 +21,8 @@ UNDECIDED = 0.5
 
 EXPONENTS = ("k_cflow", "k_cspeed")
 """Engine parameters that say how far the compressor's maps go by corrected values."""
+
+_POSSIBLE = -0.5, 1.5  # 0 to 1, and what errors of maps add
 
 WEATHER = ("p_cmap", "T_cmap")
 """Engine parameters that say which weather its maps are of."""
@@ -74,8 +76,14 @@ def as_sure_as_the_weather(
     error = np.hypot(p_std / engine.p_cmap, 0.5 * t_std / engine.T_cmap)
     warmer = 0.5 * np.log([item.t_amb_k / engine.T_cmap for item in recordings])
     more = {"k_cflow": warmer - np.log([item.p_amb_pa / engine.p_cmap for item in recordings]), "k_cspeed": warmer}
+    errors = {name: error / np.sqrt(np.mean(values**2)) for name, values in more.items()}
     found = {
-        name: replace(item, std=float(np.hypot(item.std, error / np.sqrt(np.mean(more[name] ** 2)))))
+        name: Exponent(float(np.clip(item.value, *_POSSIBLE)), float(np.hypot(item.std, errors[name])))
         for name, item in exponents.items()
     }
     return {name: item for name, item in found.items() if item.std < getattr(beliefs, name)}
+
+
+def beside_exponents(beliefs: CircumstanceSettings, exponents: Mapping[str, Exponent]) -> CircumstanceSettings:
+    """What is believed of a recording's circumstances, beside exponents that are known."""
+    return beliefs.model_copy(update={name: item.std for name, item in exponents.items()})

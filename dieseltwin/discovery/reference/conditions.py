@@ -32,13 +32,16 @@ _SURE = 4.0  # standard deviations that a clock of the engine's recordings is of
 _STRANGE = 4.0  # standard deviations of its prior beyond which weather is another fault's (32 kPa, 60 K; a charge 40 K)
 
 
-def recorded_twin(recording: Recording, engine: EngineParameters, map_rms: float) -> LoggedTwin:
-    """The twin of a recording of a healthy engine, under the circumstances that it shows.
+def recorded_twin(
+    recording: Recording, engine: EngineParameters, map_rms: float, beliefs: CircumstanceSettings | None = None
+) -> LoggedTwin:
+    """The twin of a recording of a healthy engine, under the circumstances that it shows; `beliefs` of these, None for
+    those of params.yaml.
 
     Raises:
         InputError: no usable sensor, or no stretch with the engine running.
     """
-    twin = LoggedTwin(recording, engine, map_tolerance=map_rms)
+    twin = LoggedTwin(recording, engine, map_tolerance=map_rms, beliefs=beliefs)
     found = prepare(twin, default_search().driving)
     for _ in range(ROUNDS):
         other = under_circumstances(found, well=True)

@@ -28,11 +28,12 @@ from dieseltwin.learning.belief import HEALTH_AT, NOTHING_FURTHER, Belief, prior
 from dieseltwin.learning.domain import domain_of
 from dieseltwin.learning.faults import FaultBeside
 from dieseltwin.learning.files import LearnedEngine
-from dieseltwin.learning.weather import Exponent, as_sure_as_the_weather, of_own_weather
+from dieseltwin.learning.weather import Exponent, as_sure_as_the_weather, beside_exponents, of_own_weather
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.recordings.shared_rows import distinct
 from dieseltwin.settings.defaults import default_learn, default_search
 from dieseltwin.settings.discovery import LearnConfig
+from dieseltwin.settings.search import CircumstanceSettings
 
 _NEAR = 0.02  # of -2 log posterior that a step promises, when the noise is estimated from what is left
 _ROUNDS = 12
@@ -70,14 +71,12 @@ def learn_engine(
         base, map_rms, recordings = known.base, known.map_rms, [*known.recordings, *recordings]
         prior = known.prior if prior is None else prior
     together = distinct(recordings)
-    own = of_own_weather(base, together)
-    found = learn(together, own, map_rms, settings, prior)
+    found = learn(together, of_own_weather(base, together), map_rms, settings, prior)
     misfits = {item.sha256: part.misfit for item, part in zip(together, found.evidence, strict=True)}
     domain = domain_of(found.belief, map_rms * found.further.size, base)
-    exponents = as_sure_as_the_weather(found.exponents, together, own, default_search().circumstances)
     return LearnedEngine(
         base, found.belief, map_rms, together, domain, misfits, prior, found.further, found.clocks, found.converged,
-        faults=found.faults, exponents=exponents,
+        faults=found.faults, exponents=found.exponents,
     ), found  # fmt: skip
 
 
@@ -99,9 +98,7 @@ def learn(
     """
     settings = settings or default_learn()
     prior = prior_belief(engine, map_rms) if prior is None else prior
-    joint = _Joint([Part(item, engine, prior, map_rms) for item in sorted(recordings, key=lambda r: r.sha256)], prior)
-    joint.fit(_ROUNDS, _NEAR)
-    joint.whiten_anew()
+    joint, exponents = _begun(sorted(recordings, key=lambda r: r.sha256), engine, prior, map_rms)
     usual, further = prior, NOTHING_FURTHER
     beside: tuple[FaultBeside, ...] = ()
     for _ in range(_LOOKS):
@@ -128,7 +125,30 @@ def learn(
     least = default_search().driving.alarm_size
     suspicions = tuple(item for item in joint.suspicions(settings.suspicious_gain) if item.tolerances >= least)
     return Learned(combined(prior, evidence), evidence, converged, further, suspicions, joint.clocks(), joint.strange(),
-                   beside or main_faults(joint, settings.suspicious_gain), joint.exponents())  # fmt: skip
+                   beside or main_faults(joint, settings.suspicious_gain), exponents)  # fmt: skip
+
+
+def _begun(
+    recordings: Sequence[Recording], engine: EngineParameters, prior: Belief, map_rms: float
+) -> tuple[_Joint, Mapping[str, Exponent]]:
+    """The fit of usual maps, and what it shows of the compressor's exponents where recordings are in different weather.
+
+    Each recording has exponents of its own at first. A map shifted along the flow is others on warm days and on cold
+    ones; all are fitted anew about those that the recordings together show, or the map stays shifted.
+    """
+    def fitted(engine: EngineParameters, beliefs: CircumstanceSettings) -> _Joint:
+        joint = _Joint([Part(item, engine, prior, map_rms, beliefs) for item in recordings], prior)
+        joint.fit(_ROUNDS, _NEAR)
+        joint.whiten_anew()
+        return joint
+
+    beliefs = default_search().circumstances
+    joint = fitted(engine, beliefs)
+    shown = as_sure_as_the_weather(joint.exponents(beliefs), recordings, engine, beliefs)
+    if shown:
+        said = {name: item.value for name, item in shown.items()}
+        joint = fitted(engine.replace(**said), beside_exponents(beliefs, shown))
+    return joint, shown
 
 
 class _Joint:
@@ -223,16 +243,15 @@ class _Joint:
         """Column -> how late all recordings together show it to be [s]."""
         return clocks_of_all([part.clocks(at, rest) for part, at, rest in self._left()])
 
-    def exponents(self) -> Mapping[str, Exponent]:
+    def exponents(self, beliefs: CircumstanceSettings) -> Mapping[str, Exponent]:
         """What all recordings together show of the compressor's exponents, by name; none in one weather."""
         found = [part.exponents(at, rest) for part, at, rest in self._left()]
-        covariance = np.asarray(np.linalg.inv(self._information()))
-        return exponents_together(found, covariance, default_search().circumstances)
+        return exponents_together(found, np.asarray(np.linalg.inv(self._information())), beliefs)
 
     def strange(self) -> tuple[Weather, ...]:
         """Weather and charge in which next to nobody drives."""
-        return tuple(item for part, at, rest in self._left()
-                     for item in part.conditions.strange(at.conditions_at(rest)))  # fmt: skip
+        found = [part.conditions.strange(at.conditions_at(rest)) for part, at, rest in self._left()]
+        return tuple(item for some in found for item in some)
 
     def _left(self) -> Iterator[tuple[Part, Linear, Array]]:
         return zip(self.parts, self.at, self.residuals, strict=True)
@@ -247,13 +266,11 @@ class _Joint:
         """Leave windows out in which what is believed now doesn't act linearly; whether there are any."""
         covariance: Array = np.asarray(np.linalg.inv(self._information()), dtype=np.float64)
         found = [part.crooked(at, self.x, covariance, rng) for part, at in zip(self.parts, self.at, strict=True)]
-        rows = zip(self.parts, self.at, self.residuals, found, strict=True)
-        for part, at, rest, windows in rows:
+        for part, at, rest, windows in zip(self.parts, self.at, self.residuals, found, strict=True):
             if windows.any():
                 part.leave_out(windows)
                 part.whiten_anew(at, self.x, rest)
-        any_out = any(windows.any() for windows in found)
-        if any_out:
+        if any_out := any(windows.any() for windows in found):
             self._simulate()
             self._rewhiten()
         return any_out

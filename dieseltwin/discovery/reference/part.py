@@ -23,6 +23,7 @@ from dieseltwin.errors import InputError
 from dieseltwin.learning.belief import GAINS_AT, HEALTH_AT, MAPS_AT, OFFSETS_AT, Belief
 from dieseltwin.least_squares import symmetric_root
 from dieseltwin.recordings.reader import Recording
+from dieseltwin.settings.search import CircumstanceSettings
 
 _ROUGH_ROUNDS = 5
 _SETTLING_ROUNDS = 3
@@ -78,9 +79,12 @@ class Part:
         left_out: (W,) windows that are not used.
     """
 
-    def __init__(self, recording: Recording, engine: EngineParameters, prior: Belief, map_rms: float) -> None:
+    def __init__(
+        self, recording: Recording, engine: EngineParameters, prior: Belief, map_rms: float,
+        beliefs: CircumstanceSettings | None = None,
+    ) -> None:  # fmt: skip
         self.sha256, self.name = recording.sha256, str(recording.path or "recording")
-        self.twin = recorded_twin(recording, engine, map_rms)
+        self.twin = recorded_twin(recording, engine, map_rms, beliefs)
         self.conditions = Conditions(self.twin)
         self.at = [MEASURED.index(name) for name in self.twin.channels]
         twin = self.twin
