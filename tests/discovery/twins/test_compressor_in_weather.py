@@ -11,6 +11,7 @@ from dieseltwin.discovery.discover import Prepared, prepare
 from dieseltwin.discovery.fit_test import examine
 from dieseltwin.discovery.likelihood.circumstances import Estimate, estimates
 from dieseltwin.discovery.likelihood.fit import first_fit
+from dieseltwin.discovery.reference.learn import learn_engine
 from dieseltwin.discovery.twins.diesel_circumstances import LoggedTwin, exponents_of
 from dieseltwin.engine import EngineParameters, Inputs, simulate, we2011
 from dieseltwin.learning.belief import HEALTH_AT, Belief, prior_belief
@@ -100,3 +101,15 @@ def test_responses_are_those_of_the_simulation(learned: LearnedEngine):
     for name, response in zip(names, twin.circumstance_responses(lanes, simulated, names), strict=True):
         moved = twin.under({name: 0.52}, frozenset(), like=True).simulate(lanes)[0] - simulated
         assert np.abs(moved - 0.02 * response).max(axis=0) / np.abs(moved).max(axis=0) == pytest.approx(0.0, abs=0.05)
+
+
+@pytest.mark.thorough
+def test_days_of_different_weather_show_how_the_compressor_goes():
+    days = [_recorded(_engine(1.0, p_amb=p_amb, T_amb=T_amb), 4 + k, 120.0)
+            for k, (p_amb, T_amb) in enumerate(((101_300.0, 305.0), (88_000.0, 275.0)))]  # fmt: skip
+    known, found = learn_engine(days, we2011.PARAMETERS, 0.02)
+    assert found.suspicions == ()
+    assert known.exponents["k_cflow"].std < 0.15
+    for name, item in known.exponents.items():
+        assert abs(item.value - 1.0) < 3.0 * item.std, name
+        assert getattr(known.engine, name) == item.value
