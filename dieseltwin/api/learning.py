@@ -27,6 +27,7 @@ from dieseltwin.learning.domain import KNOWN_SHARE, functions_on_maps, share_of_
 from dieseltwin.learning.files import LearnedEngine, going_on, learned_engine_of, overlap, save_learned, seal_of
 from dieseltwin.learning.levels import health_covariance
 from dieseltwin.learning.siblings import belief_from_siblings
+from dieseltwin.learning.weather import exponent_words
 from dieseltwin.notes import Note, counted, of_reading
 from dieseltwin.paths import YAML_ENDINGS
 from dieseltwin.petrol.parameters import PetrolParameters
@@ -261,12 +262,7 @@ def summary(learned: LearnedEngine) -> list[str]:
         "from the base"
         for name, value, s, then in zip(HEALTH, belief.health, std, learned.base.health(), strict=True)
     ]
-    lines += [
-        f"  the compressor's {of} follows corrected {by} by {100.0 * item.value:.0f} ± {100.0 * item.std:.2g} % "
-        "(0 % is the published model), as recordings in different weather show"
-        for name, of, by in (("k_cflow", "efficiency", "flow"), ("k_cspeed", "flow", "speed"))
-        if (item := learned.exponents.get(name)) is not None
-    ]
+    lines += exponent_words(learned.exponents)
     further = learned.further
     rough, of_ratio = (100.0 * learned.errors * v**0.5 for v in (further.rough, further.of_ratio))
     if further.size > 1.0:

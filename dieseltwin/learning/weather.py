@@ -76,14 +76,24 @@ def as_sure_as_the_weather(
     error = np.hypot(p_std / engine.p_cmap, 0.5 * t_std / engine.T_cmap)
     warmer = 0.5 * np.log([item.t_amb_k / engine.T_cmap for item in recordings])
     more = {"k_cflow": warmer - np.log([item.p_amb_pa / engine.p_cmap for item in recordings]), "k_cspeed": warmer}
-    errors = {name: error / np.sqrt(np.mean(values**2)) for name, values in more.items()}
-    found = {
-        name: Exponent(float(np.clip(item.value, *_POSSIBLE)), float(np.hypot(item.std, errors[name])))
-        for name, item in exponents.items()
-    }
-    return {name: item for name, item in found.items() if item.std < getattr(beliefs, name)}
+    found = {}
+    for name, item in exponents.items():
+        std = float(np.hypot(item.std, error / np.sqrt(np.mean(more[name] ** 2))))
+        if std < getattr(beliefs, name):
+            found[name] = Exponent(float(np.clip(item.value, *_POSSIBLE)), std)
+    return found
 
 
 def beside_exponents(beliefs: CircumstanceSettings, exponents: Mapping[str, Exponent]) -> CircumstanceSettings:
     """What is believed of a recording's circumstances, beside exponents that are known."""
     return beliefs.model_copy(update={name: item.std for name, item in exponents.items()})
+
+
+def exponent_words(exponents: Mapping[str, Exponent]) -> list[str]:
+    """What recordings in different weather show of the compressor, as lines of text."""
+    of = {"k_cflow": ("efficiency", "flow"), "k_cspeed": ("flow", "speed")}
+    return [
+        f"  the compressor's {of[name][0]} follows corrected {of[name][1]} by {100.0 * item.value:.0f} ± "
+        f"{100.0 * item.std:.2g} % (0 % is the published model), as recordings in different weather show"
+        for name, item in exponents.items()
+    ]
