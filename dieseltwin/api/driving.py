@@ -40,7 +40,7 @@ from dieseltwin.recordings.named_columns import Imported
 from dieseltwin.recordings.reader import Recording, read_recording
 from dieseltwin.recordings.shared_rows import refuse_overlapping, refuse_shared
 from dieseltwin.report.beside import begin_ahead, begin_beside, ready_beside
-from dieseltwin.report.circumstance_words import alike_words, blameless_words, circumstances_words
+from dieseltwin.report.circumstance_words import alike_words, blameless_words, circumstances_words, compressor_words
 from dieseltwin.report.discovery_words import sentence as in_words
 from dieseltwin.report.visible_words import visible_table
 from dieseltwin.sealed import sealed_text
@@ -140,7 +140,7 @@ class DrivingDiscovered(Discovered):
         return {**plain(self.found.runtime), "seconds": seconds, **machine()}
 
     def lines(self) -> list[str]:
-        return ["", self.sentence]
+        return ["", self.sentence, *compressor_words(self.document)]
 
 
 @dataclass(frozen=True)

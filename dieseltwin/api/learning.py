@@ -16,7 +16,8 @@ from dieseltwin.api.petrol import PetrolCalibrated, learn_petrol
 from dieseltwin.api.reading import Channels, Made, Source, diesel_recording, several
 from dieseltwin.api.reference_faults import alike_line, hidden_line, suspected_faults
 from dieseltwin.api.results import Result, drawn
-from dieseltwin.discovery.reference.learn import Learned, learn_engine
+from dieseltwin.discovery.reference.evidence import Learned
+from dieseltwin.discovery.reference.learn import learn_engine
 from dieseltwin.discovery.verdict.checks import check_recording, check_rows
 from dieseltwin.engine import HEALTH, MEASURED, EngineParameters, we2011
 from dieseltwin.engine.map_corrections import ARGUMENTS, CORRECTED_POINTS, basis
@@ -26,6 +27,7 @@ from dieseltwin.learning.domain import KNOWN_SHARE, functions_on_maps, share_of_
 from dieseltwin.learning.files import LearnedEngine, going_on, learned_engine_of, overlap, save_learned, seal_of
 from dieseltwin.learning.levels import health_covariance
 from dieseltwin.learning.siblings import belief_from_siblings
+from dieseltwin.learning.weather import exponent_words
 from dieseltwin.notes import Note, counted, of_reading
 from dieseltwin.paths import YAML_ENDINGS
 from dieseltwin.petrol.parameters import PetrolParameters
@@ -260,6 +262,7 @@ def summary(learned: LearnedEngine) -> list[str]:
         "from the base"
         for name, value, s, then in zip(HEALTH, belief.health, std, learned.base.health(), strict=True)
     ]
+    lines += exponent_words(learned.exponents)
     further = learned.further
     rough, of_ratio = (100.0 * learned.errors * v**0.5 for v in (further.rough, further.of_ratio))
     if further.size > 1.0:

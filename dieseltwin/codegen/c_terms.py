@@ -11,7 +11,7 @@ from dieseltwin.engine.courses import growing_s
 from dieseltwin.engine.effect import Entry
 from dieseltwin.engine.effects import ACTUATION_EFFECTS, EFFECTS, STATE_EFFECTS
 from dieseltwin.engine.limited import Limited
-from dieseltwin.engine.map_corrections import GRIDS, corrections_of
+from dieseltwin.engine.map_corrections import GRIDS, corrections_of, variable_of
 from dieseltwin.engine.quantities import MapArguments, OperatingPoint
 from dieseltwin.engine.sensor_effects import slot_parts
 from dieseltwin.engine.terms import (
@@ -40,7 +40,8 @@ ACTUATORS = ("egr_stuck", "egr_play", "egr_more", "egr_share", "vgt_stuck", "vgt
 further dead times [s] and how much of them acts, lag [s]."""
 
 _ARGUMENTS_IN_C = {
-    "p_im": "x.p_im", "n_e": "x.n_e", "u_egr": "x.u_egr", "u_vgt": "x.u_vgt", "omega_t": "x.omega_t", "W_c": "q.W_c",
+    "p_im": "x.p_im", "n_e": "x.n_e", "u_egr": "x.u_egr", "u_vgt": "x.u_vgt", "omega_t": "x.omega_t",
+    "W_c": "q.W_c", "W_cc": "corrected_flow(q.W_c, c)",
     **{name: f"at.{name}" for name in MapArguments._fields},
 }  # fmt: skip
 
@@ -223,9 +224,11 @@ class TermsInC:
         )
         self.texts.append(_TABLE.format(nodes=nodes, last=nodes - 1))
         self.translation.need("map_arguments")
+        self.translation.need("corrected_flow")
         lines = ["const MapArguments at = map_arguments(x.p_im, x.p_em, x.omega_t, q.p_bc, q.p_es, q.T_em, c);"]
         for m, (point, arguments) in enumerate(used):
-            x, y = (*(_ARGUMENTS_IN_C[name] for name in arguments), "0.0")[:2]
+            variables = [variable_of(point, name, _ARGUMENTS_IN_C) for name in arguments]
+            x, y = (*(_ARGUMENTS_IN_C[name] for name in variables), "0.0")[:2]
             lines.append(f"s.{point} += looked_up(CORRECTIONS[{m}], CORRECTION_LOW[{m}], CORRECTION_PER_UNIT[{m}],\n"
                          f"                       {x}, {y});")
         self._function(head, [*lines, "return s;"],

@@ -118,6 +118,10 @@ def _nodes(argument: str, ends: tuple[float, float], c: Constants) -> Array:
 
 def _correction(table: Array, m: int, grid: dict[str, Array], model: Model, c: Constants) -> Array:
     at = dict(grid)
+    if "W_c" in grid:
+        at["W_cc"] = model.corrected_flow(at["W_c"], c)
+    if "omega_t" in grid:
+        at["omega_c"] = model.corrected_speed(at["omega_t"], c)
     if "Psi_c" in GRIDS[m][1]:
         at["Psi_c"] = model.energy_transfer_coefficient(c.T_amb, at["Pi_c"], at["omega_t"], c)
     return look_up(table, m, *arguments_of(m, at))

@@ -247,9 +247,10 @@ def _twin(
     recording: Recording, engine: EngineParameters, options: Options, learned: LearnedEngine | None
 ) -> LoggedTwin:
     belief = None if learned is None else learned.belief
+    beliefs = options.circumstances if learned is None else learned.beliefs(options.circumstances)
     clocks = {} if learned is None else {f"{TIME_SHIFT}:{column}": late for column, late in learned.clocks.items()}
     return LoggedTwin(recording, engine, options.sensors, map_tolerance=options.map_tolerance, belief=belief,
-                      beliefs=options.circumstances, values=clocks, opened=frozenset(clocks))  # fmt: skip
+                      beliefs=beliefs, values=clocks, opened=frozenset(clocks))  # fmt: skip
 
 
 def _reference(found: Search, learned: LearnedEngine | None) -> Reference | None:

@@ -20,6 +20,7 @@ from dieseltwin.discovery.recording_faults import Suspicion, recording_faults, s
 from dieseltwin.discovery.search.preparation import prepare
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.diesel import EngineTwin
+from dieseltwin.discovery.twins.diesel_circumstances import beside_its_compressor
 from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.discovery.verdict.explained import disagreement
 from dieseltwin.discovery.verdict.health_value import SinceReference
@@ -34,6 +35,7 @@ from dieseltwin.recordings.between_rows import rows_are_slow, rows_may_be_slow
 from dieseltwin.recordings.columns import Columns
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.sensors import MEASURED, SENSORS
+from dieseltwin.settings.defaults import default_search
 
 LONGEST_PART_S = 600.0
 """A longer recording is tested in parts of at most this length [s], so that memory stays bounded."""
@@ -287,7 +289,10 @@ def _searched(
 ) -> tuple[Search, Sequence[Suspect], Sequence[Excess]]:
     columns = {**part.columns, **{name: _with_noise(part.columns[name], name) for name in sensors}}
     belief = None if learned is None else learned.belief
-    twin = EngineTwin(replace(part, columns=Columns(columns)), engine, sensors, belief=belief)
+    noisy = replace(part, columns=Columns(columns))
+    twin = EngineTwin(noisy, engine, sensors, belief=belief) if belief is None else beside_its_compressor(
+        noisy, engine, sensors, belief, None if learned is None else learned.beliefs(default_search().circumstances)
+    )  # fmt: skip
     twin.between_rows = between_rows
     found = prepare(twin, Options().settings())
     faults = suspicions(found.null, recording_faults(twin, found.null))

@@ -45,8 +45,8 @@ EFFECT = READING + N_READ
 SIGNAL = EFFECT + N_EFFECTS  # value at the sample before
 SLOPE = SIGNAL + N_POINTS  # change until the sample after
 CORRECTION = SLOPE + N_POINTS  # relative, on `map_corrections.GRIDS`
-ARGUMENT = CORRECTION + N_CORRECTED  # of the corrections: u_egr, u_vgt, Pi_t, Pi_c, Psi_c, BSR
-FRACTION = ARGUMENT + 6  # of the interval between samples that has passed, for the signals
+ARGUMENT = CORRECTION + N_CORRECTED  # of the corrections: u_egr, u_vgt, Pi_t, Pi_c, Psi_c, BSR, W_cc, omega_c
+FRACTION = ARGUMENT + 8  # of the interval between samples that has passed, for the signals
 P_BC = FRACTION + 1  # before the compressor and behind the turbine, of the evaluation before
 P_ES = P_BC + 1
 CONSTANT = P_ES + 1
@@ -63,6 +63,7 @@ cylinder_sweep = _model.cylinder_sweep
 exhaust_to_intake_ratio = _model.exhaust_to_intake_ratio
 map_arguments = _model.map_arguments
 blade_speed_ratio = _model.blade_speed_ratio
+corrected_flow = _model.corrected_flow
 
 
 def _loader(name: str, kind: Any, first: int, moving: bool = False) -> Any:
@@ -128,12 +129,14 @@ def correct_maps(work, tables, low, per_unit):  # type: ignore[no-untyped-def]
         work[(ARGUMENT + 2) * LANES + k] = at.Pi_t
         work[(ARGUMENT + 3) * LANES + k] = at.Pi_c
         work[(ARGUMENT + 4) * LANES + k] = at.Psi_c
+        work[(ARGUMENT + 6) * LANES + k] = corrected_flow(work[W_C * LANES + k], c)
+        work[(ARGUMENT + 7) * LANES + k] = at.omega_c
     _look_up(work, tables, 0, low, per_unit, 0, INPUT)
     _look_up(work, tables, 1, low, per_unit, ARGUMENT, INPUT)  # of one argument: alike along the other
     _look_up(work, tables, 2, low, per_unit, ARGUMENT + 1, ARGUMENT + 2)
     _look_up(work, tables, 3, low, per_unit, 2, ARGUMENT + 2)
-    _look_up(work, tables, 4, low, per_unit, W_C, ARGUMENT + 3)
-    _look_up(work, tables, 5, low, per_unit, ARGUMENT + 4, 2)
+    _look_up(work, tables, 4, low, per_unit, ARGUMENT + 6, ARGUMENT + 3)
+    _look_up(work, tables, 5, low, per_unit, ARGUMENT + 4, ARGUMENT + 7)
     if tables.shape[0] > OF_RATIO:
         for k in range(LANES):
             c = load_constants(work, CONSTANT * LANES + k, LANES)

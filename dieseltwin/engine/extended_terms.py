@@ -15,7 +15,7 @@ from dieseltwin.engine.effects import EFFECTS, GAS_LAG, IMPLICIT, STATE_EFFECTS,
 from dieseltwin.engine.extended import Extension, simulate_extended
 from dieseltwin.engine.fixed_point import settled, unchanged
 from dieseltwin.engine.inputs import Actuation
-from dieseltwin.engine.map_corrections import RANGES, corrections_of, with_corrections_at
+from dieseltwin.engine.map_corrections import CORRECTED, RANGES, corrections_of, with_corrections_at
 from dieseltwin.engine.model import NO_SIGNALS
 from dieseltwin.engine.model_constants import Constants
 from dieseltwin.engine.observations import Observations
@@ -239,9 +239,10 @@ def correction_signals(
     tables: (G, NODES, NODES) of `corrections_of`.
     """
     states = (variables[name] for name in ("p_im", "p_em", "omega_t", "p_bc", "p_es", "T_em"))
-    at = numpy_model().map_arguments(*states, c)._asdict()
-    shape = np.shape(variables["p_im"])
-    arguments = {k: np.broadcast_to(v, shape) for k, v in {**variables, **at}.items() if k in RANGES}
+    model = numpy_model()
+    at = {**model.map_arguments(*states, c)._asdict(), "W_cc": model.corrected_flow(variables["W_c"], c)}
+    shape, known = np.shape(variables["p_im"]), {*RANGES, *CORRECTED.values()}
+    arguments = {k: np.broadcast_to(v, shape) for k, v in {**variables, **at}.items() if k in known}
     return with_corrections_at(tables, arguments, signals)
 
 

@@ -13,7 +13,7 @@ ratio goes with the root of the temperature.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -35,6 +35,10 @@ GRIDS: tuple[tuple[str, tuple[str, ...]], ...] = (
     *((point, ARGUMENTS[point]) for point in CORRECTED_POINTS), ("eta_tm", ("omega_t", "BSR")),
 )  # fmt: skip
 """Map and arguments of every grid that corrections are tables on: each map's own, and the further one."""
+
+CORRECTED: Mapping[tuple[str, str], str] = {("eta_c", "W_c"): "W_cc", ("W_c", "omega_t"): "omega_c"}
+"""Map and argument -> variable that the argument is: the compressor's flow and speed as corrected for the weather
+(`turbocharger.corrected_flow`, `corrected_speed`)."""
 
 OF_RATIO = len(CORRECTED_POINTS)
 """Grid over the blade speed ratio, among `GRIDS`."""
@@ -242,9 +246,16 @@ def _corrections_of(coefficients: bytes) -> MapCorrections:
     return MapCorrections(tables if tables[OF_RATIO].any() else tables[:OF_RATIO], _LOW, _PER_UNIT)
 
 
+def variable_of(point: str, argument: str, there: Container[str]) -> str:
+    """Variable that an argument of a map's is, among those that are there: one that holds the compressor's flow and
+    speed alone has them of the weather that the maps are of."""
+    corrected = CORRECTED.get((point, argument), argument)
+    return corrected if corrected in there else argument
+
+
 def arguments_of(m: int, variables: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Both arguments of grid m along a trajectory, (n,) each; zeros for the second of one of one argument."""
-    names = GRIDS[m][1]
+    names = [variable_of(GRIDS[m][0], name, variables) for name in GRIDS[m][1]]
     first = np.asarray(variables[names[0]], dtype=np.float64)
     return first, np.asarray(variables[names[1]], dtype=np.float64) if len(names) > 1 else np.zeros_like(first)
 

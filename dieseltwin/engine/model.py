@@ -69,6 +69,7 @@ from dieseltwin.engine.turbocharger import (
     compressor_out_temperature,
     compressor_power,
     compressor_pressure_ratio,
+    corrected_speed,
     energy_transfer_coefficient,
     eta_c,
     eta_tm,
@@ -277,8 +278,9 @@ def map_arguments(
     Pi_c = compressor_pressure_ratio(p_im, with_ambient_pressure(c, p_bc))
     Pi_t = turbine_pressure_ratio(p_em, with_ambient_pressure(c, p_es))
     return MapArguments(
-        Pi_t, Pi_c, energy_transfer_coefficient(c.T_amb, Pi_c, omega_t, c), blade_speed_ratio(omega_t, T_em, Pi_t, c)
-    )
+        Pi_t, Pi_c, energy_transfer_coefficient(c.T_amb, Pi_c, omega_t, c), blade_speed_ratio(omega_t, T_em, Pi_t, c),
+        corrected_speed(omega_t, c),
+    )  # fmt: skip
 
 
 def driver_quantities(q: Quantities, n_e: Array, p_im: Array, p_em: Array, c: Constants) -> DriverQuantities:

@@ -89,6 +89,10 @@ class Constants(NamedTuple):
     c_fric1: Array
     c_fric2: Array
     c_fric3: Array
+    p_cmap: Array
+    T_cmap: Array
+    k_cflow: Array
+    k_cspeed: Array
     inverse_gamma_a: Array
     compression_heating: Array
     pipe_area: Array
@@ -98,6 +102,8 @@ class Constants(NamedTuple):
     otto_efficiency: Array
     choking_a: Array
     choking_e: Array
+    flow_correction: Array
+    speed_correction: Array
 
 
 CONSTANT_NAMES = Constants._fields
@@ -119,4 +125,6 @@ def derived(v: Mapping[str, Array]) -> dict[str, Array]:
         "otto_efficiency": 1.0 - v["r_c"] ** (1.0 - v["gamma_cyl"]),
         "choking_a": choking_quotient(v["gamma_a"]),
         "choking_e": choking_quotient(v["gamma_e"]),
+        "flow_correction": ((v["T_amb"] / v["T_cmap"]) ** 0.5 * v["p_cmap"] / v["p_amb"]) ** v["k_cflow"],
+        "speed_correction": (v["T_cmap"] / v["T_amb"]) ** (0.5 * v["k_cspeed"]),
     }

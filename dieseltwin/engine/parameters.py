@@ -93,6 +93,14 @@ class EngineParameters(BaseModel):
     gamma_cyl: float = Field(gt=1, lt=3, description="heat capacity ratio in the cylinder, for torque [-]")
     eta_igch: float = Field(gt=0, lt=10, description="combustion chamber efficiency, for torque [-]")
     c_fric: tuple[float, float, float] = Field(description="friction over (n_e/1000)^2, n_e/1000, 1 [bar]")
+    p_cmap: float = Field(101325.0, gt=3e4, lt=2e5, description="ambient pressure of the compressor's maps [Pa]")
+    T_cmap: float = Field(298.15, gt=150, lt=400, description="ambient temperature of them [K]")
+    k_cflow: float = Field(
+        0.0, ge=-1, le=2, description="how far its efficiency goes by corrected flow; 0: by mass flow [-]"
+    )
+    k_cspeed: float = Field(
+        0.0, ge=-1, le=2, description="how far its ellipse goes by corrected speed; 0: by speed [-]"
+    )
     n_e_range: tuple[float, float] = Field((500.0, 2000.0), description="valid engine speed [rpm]")
     u_delta_range: tuple[float, float] = Field((1.0, 250.0), description="valid injected mass [mg/cycle]")
     u_egr_range: tuple[float, float] = Field((0.0, 100.0), description="valid EGR position [%]")

@@ -154,12 +154,14 @@ class Quantities(NamedTuple):
 
 class MapArguments(NamedTuple):
     """What the maps of compressor and turbine are looked up at, besides states and inputs: pressure quotients Pi_t and
-    Pi_c, energy transfer coefficient Psi_c, blade speed ratio BSR [-]."""
+    Pi_c, energy transfer coefficient Psi_c, blade speed ratio BSR [-], corrected speed of the compressor omega_c
+    [rad/s]."""
 
     Pi_t: Array
     Pi_c: Array
     Psi_c: Array
     BSR: Array
+    omega_c: Array
 
 
 class DriverQuantities(NamedTuple):

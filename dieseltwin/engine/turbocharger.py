@@ -93,6 +93,21 @@ def energy_transfer_coefficient(T_amb: Array, Pi_c: Array, omega_t: Array, c: Co
     return 2.0 * c.c_pa * T_amb * compressor_heating(Pi_c, c) / (c.R_c * c.R_c * omega_t * omega_t)
 
 
+def corrected_flow(W_c: Array, c: Constants) -> Array:
+    """Flow over which the compressor's efficiency is told [kg/s]: as it would be in the weather that its map is of.
+
+    A compressor has one map of corrected flow W_c sqrt(T_amb/T_ref)/(p_amb/p_ref) in all weather (Heywood,
+    1988, section 6.8.2). A.41 is over mass flow: k_cflow 0 is that, 1 is corrected flow.
+    """
+    return W_c * c.flow_correction
+
+
+def corrected_speed(omega_t: Array, c: Constants) -> Array:
+    """Speed over which the compressor's ellipse is told [rad/s], as `corrected_flow`: over omega_t sqrt(T_ref/T_amb),
+    which stands for the tip's Mach number, with k_cspeed 1, over speed as in A.47 and A.48 with 0."""
+    return omega_t * c.speed_correction
+
+
 def ellipse_coefficient_psi(omega_t: Array, c: Constants) -> Array:
     """Ellipse coefficient c_Psi1 [-] (A.47), not below 0."""
     value = (c.c_omega_psi1 * omega_t + c.c_omega_psi2) * omega_t + c.c_omega_psi3
@@ -108,7 +123,8 @@ def ellipse_coefficient_phi(omega_t: Array, c: Constants) -> Array:
 def Phi_c(T_amb: Array, Pi_c: Array, omega_t: Array, c: Constants) -> Array:
     """Volumetric flow coefficient Phi_c [-] (A.50; A.46 is its implicit form). Empirical map N_6."""
     psi = energy_transfer_coefficient(T_amb, Pi_c, omega_t, c) - c.c_psi2
-    argument = (1.0 - ellipse_coefficient_psi(omega_t, c) * psi * psi) / ellipse_coefficient_phi(omega_t, c)
+    omega = corrected_speed(omega_t, c)
+    argument = (1.0 - ellipse_coefficient_psi(omega, c) * psi * psi) / ellipse_coefficient_phi(omega, c)
     return root(argument) + c.c_phi2
 
 
@@ -124,7 +140,7 @@ def transformed_pressure_ratio(Pi_c: Array, c: Constants) -> Array:
 
 def eta_c(W_c: Array, Pi_c: Array, c: Constants) -> Array:
     """Compressor efficiency eta_c [-] (A.40 with A.41, A.43), at least 0.2. Empirical map N_5."""
-    x1 = W_c - c.W_copt
+    x1 = corrected_flow(W_c, c) - c.W_copt
     x2 = transformed_pressure_ratio(Pi_c, c) - c.pi_copt
     return maximum(c.eta_cmax - (c.a_1 * x1 * x1 + 2.0 * c.a_3 * x1 * x2 + c.a_2 * x2 * x2), ETA_C_MIN)
 

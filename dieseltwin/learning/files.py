@@ -49,6 +49,7 @@ from dieseltwin.learning.belief import (
     with_further,
 )
 from dieseltwin.learning.faults import FaultBeside
+from dieseltwin.learning.weather import EXPONENTS, WEATHER, Exponent, beside_exponents, of_own_weather
 from dieseltwin.notes import Note, counted
 from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.derived import Made
@@ -56,6 +57,7 @@ from dieseltwin.recordings.reader import Recording
 from dieseltwin.recordings.shared_rows import share_known
 from dieseltwin.sealed import sealed_text
 from dieseltwin.settings.names import listed
+from dieseltwin.settings.search import CircumstanceSettings
 from dieseltwin.settings.strict import read_mapping
 from dieseltwin.version import __version__
 
@@ -65,7 +67,7 @@ doesn't fit may be the reference's"
 UNTOLD = "the engine's maps are corrected, but nothing says how well the corrections are known (no `learned:` in its \
 file): they are taken for exact, so that intervals are too narrow, and nothing is told since the reference; give the \
 file of `dieseltwin learn`, or of a discovery beside it"
-_MAY_DIFFER = (*HEALTH, "p_amb", "T_amb", "T_im", "terms")  # in the file of a repaired engine, or on another day
+_MAY_DIFFER = (*HEALTH, *EXPONENTS, "p_amb", "T_amb", "T_im", "terms")  # of a repaired engine, or on another day
 _RANGE = "_range"  # in names of limits of the inputs, which are no maps
 _KEY = b"dieseltwin.learned"
 
@@ -91,6 +93,7 @@ class LearnedEngine:
             that a discovery found since; None for the engine as it was learned. The belief is that of learning.
         faults: the main faults as the recordings say them where no map is off by more than usual; none where an earlier
             version learned it.
+        exponents: of the compressor by name, where the recordings are in different weather.
     """
 
     base: EngineParameters
@@ -106,6 +109,7 @@ class LearnedEngine:
     suspected: tuple[str, ...] = ()
     repaired: EngineParameters | None = None
     faults: tuple[FaultBeside, ...] = ()
+    exponents: Mapping[str, Exponent] = field(default_factory=dict)
 
     @property
     def errors(self) -> float:
@@ -126,7 +130,15 @@ class LearnedEngine:
             return self.repaired
         health = {name: float(value) for name, value in zip(HEALTH, self.belief.health, strict=True)}
         term = CorrectionTerm(coefficients=tuple(float(value) for value in self.belief.coefficients))
-        return self.base.replace(**health, terms=(*self.base.terms, term))
+        return self.in_its_weather(self.base).replace(**health, terms=(*self.base.terms, term))
+
+    def in_its_weather(self, engine: EngineParameters) -> EngineParameters:
+        """An engine whose compressor's maps are of the weather of these recordings."""
+        return of_own_weather(engine, self.recordings, self.exponents)
+
+    def beliefs(self, beliefs: CircumstanceSettings) -> CircumstanceSettings:
+        """What is believed of a recording's circumstances, with what these recordings show of the compressor."""
+        return beside_exponents(beliefs, self.exponents)
 
     @property
     def found(self) -> tuple[EffectTerm | LawTerm, ...]:
@@ -252,8 +264,11 @@ def load_learned(path: Path) -> LearnedEngine | None:
         return None
     known = _parsed(learned_bytes(path, document), path.with_name(str(document[LEARNED])))
     engine = load_engine(path)
+    if WEATHER[0] not in document:  # an earlier version wrote it
+        engine = known.in_its_weather(engine)
+    base = known.in_its_weather(known.base)
     for name in type(engine).model_fields:
-        got, value = getattr(engine, name), getattr(known.base, name)
+        got, value = getattr(engine, name), getattr(base, name)
         if got != value and name not in _MAY_DIFFER and not name.endswith(_RANGE):
             raise InputError(f"{path}: {name}", _in_digits(got), f"{_in_digits(value)}, with which it was learned",
                              "change the base, and learn again with --engine naming that")  # fmt: skip
@@ -291,6 +306,7 @@ def _parquet(learned: LearnedEngine) -> bytes:
         "schema": SCHEMA, "code_version": __version__, "map_rms": learned.map_rms, "domain": learned.domain,
         "further": asdict(learned.further), "clocks": dict(learned.clocks), "converged": learned.converged,
         "suspected": list(learned.suspected), "faults": [asdict(item) for item in learned.faults],
+        "exponents": {name: asdict(item) for name, item in learned.exponents.items()},
         "base": learned.base.model_dump(mode="json"),
         "recordings": [
             {
@@ -338,6 +354,7 @@ def _parsed(content: bytes, where: Path) -> LearnedEngine:
         {row["sha256"]: float(row["misfit"]) for row, _ in known}, prior, Further(**further),
         dict(about.get("clocks", {})), bool(about.get("converged", True)),
         tuple(about.get("suspected", ())), faults=tuple(FaultBeside(**item) for item in about.get("faults", ())),
+        exponents={name: Exponent(**item) for name, item in about.get("exponents", {}).items()},
     )  # fmt: skip
 
 

@@ -1,8 +1,10 @@
 """What a recording was made under, where it says so wrongly or not at all: ambient, fuel, clocks of the channels.
 
 Names are `p_amb_pa`, `t_amb_k`, `t_im_k` (values), `drift:p_amb_pa` (change from the first row to the last),
-`scale:u_delta_mg` (true over recorded) and `time_shift:<column>` (recorded late by so much). Of several recordings that
-are judged together the number of the recording follows, counted from 0: `p_amb_pa@2`.
+`scale:u_delta_mg` (true over recorded), `time_shift:<column>` (recorded late by so much) and `corrected:k_cflow`,
+`corrected:k_cspeed` (how far the compressor's maps go by corrected flow and speed, 0-1, where the weather isn't that of
+learning). Of several recordings that are judged together the number of the recording follows, counted from 0:
+`p_amb_pa@2`.
 """
 
 from __future__ import annotations
@@ -16,12 +18,14 @@ from dieseltwin.engine import EngineParameters
 from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.reader import Recording
 
-DRIFT, SCALE, TIME_SHIFT = "drift", "scale", "time_shift"
+DRIFT, SCALE, TIME_SHIFT, CORRECTED = "drift", "scale", "time_shift", "corrected"
 
 _OF = "@"
 
 _POSSIBLE = {"p_amb_pa": (4.5e4, 1.1e5), "t_amb_k": (215.0, 330.0), "t_im_k": (230.0, 420.0)}
 """Weather and charge behind a cooler that an engine can have: to 6 km of height, -58 to 57 degC."""
+
+_EXPONENTS = -0.5, 1.5  # 0 to 1, and what errors of maps add
 
 @dataclass(frozen=True)
 class Circumstance:
@@ -81,7 +85,7 @@ def of_recording(values: Mapping[str, float], recording: int) -> dict[str, float
 
 
 def kind_of(name: str) -> str:
-    """`drift`, `scale`, `time_shift`, or empty for a value."""
+    """`drift`, `scale`, `time_shift`, `corrected`, or empty for a value."""
     return name.rpartition(":")[0]
 
 
@@ -93,6 +97,8 @@ def applicable(recording: Recording, name: str, value: float) -> float:
         return float(np.clip(value, *_POSSIBLE[name]))
     if kind == DRIFT:
         return 0.0
+    if kind == CORRECTED:
+        return float(np.clip(value, *_EXPONENTS))
     if kind == TIME_SHIFT and column not in INPUTS:
         step = float(np.median(np.diff(recording.time_s)))
         return step * round(value / step)
@@ -108,7 +114,8 @@ def with_charge(engine: EngineParameters, recording: Recording) -> EngineParamet
 def put_right(
     recording: Recording, engine: EngineParameters, values: Mapping[str, float]
 ) -> tuple[Recording, EngineParameters]:
-    """The recording as it would have been under known circumstances, and the engine with the charge's temperature.
+    """The recording as it would have been under known circumstances, and the engine with the charge's temperature and
+    its compressor's exponents.
 
     Columns that a channel map computed (absolute from gauge pressure, fuel per stroke from fuel per hour) are worked
     out again from what they follow.
@@ -124,6 +131,8 @@ def put_right(
         kind, _, column = name.rpartition(":")
         if kind == SCALE:
             columns[column] = columns[column] * value
+        elif kind == CORRECTED:
+            engine = engine.replace(**{column: value})
         elif kind == TIME_SHIFT and value != 0.0 and column in columns:
             if column in INPUTS:
                 columns[column] = _earlier(recording, columns[column], value)

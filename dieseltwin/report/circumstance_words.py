@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dieseltwin.discovery.verdict.document import Discrepancy
 from dieseltwin.discovery.verdict.found_circumstance import FoundCircumstance
 from dieseltwin.notes import listing
+from dieseltwin.recordings.circumstances import CORRECTED, kind_of
 from dieseltwin.report import quantities
 
 ALIKE: Mapping[str, tuple[str, str]] = {
@@ -35,11 +36,25 @@ def circumstance_words(item: FoundCircumstance) -> str:
     if kind == "scale":
         burns = _with_deviation(100.0 * item.value, 100.0 * item.std, 1)
         return f"the fuel that burns is {burns} % of what is recorded"
+    if kind == "corrected":
+        maps = {"k_cflow": "efficiency follows corrected flow", "k_cspeed": "flow follows corrected speed"}[column]
+        return f"the compressor's {maps} by {_with_deviation(100.0 * item.value, 100.0 * item.std, 0)} %"
     words = {"p_amb_pa": "the ambient pressure", "t_amb_k": "the ambient temperature",
              "t_im_k": "the temperature behind the charge cooler"}[column]  # fmt: skip
     factor, shift, unit = (1e-3, 0.0, "kPa") if item.unit == "Pa" else (1.0, -273.15, "°C")
     value, assumed = factor * item.value + shift, factor * item.assumed + shift
     return f"{words} is {_with_deviation(value, factor * item.std, 1)} {unit}, not {assumed:.1f}"
+
+
+def compressor_words(document: Discrepancy) -> list[str]:
+    """What a learned engine's compressor does in weather that isn't that of its learning, in words."""
+    told = [
+        circumstance_words(item) if item.recording is None
+        else f"on {shown_day(document.recordings[item.recording - 1].date)} {circumstance_words(item)}"
+        for item in document.circumstances if kind_of(item.name) == CORRECTED
+    ]  # fmt: skip
+    return [f"the weather isn't that in which the engine was learned: {listing(told)} (0 % is the published model); "
+            "limits and intervals hold what that leaves open"] if told else []  # fmt: skip
 
 
 def shown_day(date: str) -> str:

@@ -154,6 +154,9 @@ class CircumstanceSettings(StrictModel):
     t_im_read_k: PositiveFloat = Field(description="a reading of it, and where before the valves it is taken [K]")
     fuel_scale: PositiveFloat = Field(description="scale of the fuel signal times the fuel's heating value [-]")
     time_shift_s: PositiveFloat = Field(description="a channel's clock, where channels aren't in time [s]")
+    k_cflow: PositiveFloat = Field(description="how far a learned engine's compressor's efficiency goes by corrected "
+                                   "flow, about halfway [-]")
+    k_cspeed: PositiveFloat = Field(description="the same of its flow and corrected speed [-]")
     evidence: NonNegativeFloat = Field(description="for clocks that are off, from which they are put right")
     ahead: NonNegativeFloat = Field(description="that they must be ahead of what an effect would add in their place")
     several: PositiveInt = Field(description="clocks off, from which none is trusted")

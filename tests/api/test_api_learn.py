@@ -17,7 +17,7 @@ from dieseltwin.api.identification import ask as ask_to_identify
 from dieseltwin.api.learning import LearnedResult, _check_misfits, _in_its_unit
 from dieseltwin.api.points import _MEAN_MAPS, PointsQuestion
 from dieseltwin.discovery.fit_test import examine
-from dieseltwin.discovery.reference.learn import Learned
+from dieseltwin.discovery.reference.evidence import Learned
 from dieseltwin.engine import HEALTH, MEASURED, EngineParameters, we2011
 from dieseltwin.engine.terms import Term
 from dieseltwin.errors import InputError

@@ -89,6 +89,8 @@ def differences(expected: pd.DataFrame, got: pd.DataFrame) -> pd.Series:
                                   region={"n_e_rpm": (500.0, 2000.0)})), 5e-6, id="in regions and for a time"),
         pytest.param(_engine(LEARNED, Term(effect="back_pressure", magnitude=1.6e5),
                              Term(effect="air_filter_restriction", magnitude=5e4)), 1e-6, id="learned, restricted"),
+        pytest.param(_engine(LEARNED).replace(p_amb=85e3, T_amb=275.0, k_cflow=1.0, k_cspeed=0.7), 1e-6,
+                     id="learned, in other weather"),
     ],
 )  # fmt: skip
 def test_c_is_what_simulate_is(engine: EngineParameters, allowed: float, drive: Inputs, compiler: str, tmp_path: Path):

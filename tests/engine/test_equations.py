@@ -153,3 +153,27 @@ def test_behaviour_of_the_engine() -> None:
     assert c.T_amb < colder.T_em < q.T_em < q.T_e
     assert q.W_eo == pytest.approx(q.W_ei + q.W_f)
     assert model.torque(120.0, 1300.0, 1.6e5, 2.0e5, c) > model.torque(120.0, 1300.0, 1.6e5, 2.4e5, c) > 500.0
+
+
+@given(st.floats(70e3, 103e3), st.floats(250.0, 320.0))
+def test_corrected_flow_and_speed_make_one_compressor_map_of_all_weather(p_amb: float, T_amb: float) -> None:
+    """Same corrected flow, corrected speed and pressure quotient: same efficiency and flow coefficient. By published
+    maps both change; in their own weather there is no difference."""
+    m, published = bind("numpy"), we2011.PARAMETERS
+    own = published.replace(p_cmap=published.p_amb, T_cmap=published.T_amb, k_cflow=1.0, k_cspeed=1.0)
+    here, there = constants(own), constants(own.replace(p_amb=p_amb, T_amb=T_amb))
+    W_c, Pi_c, omega_t = np.array([0.1, 0.2, 0.35]), np.array([1.3, 1.6, 2.2]), np.array([5e3, 6.5e3, 9e3])
+    faster = np.sqrt(T_amb / published.T_amb)
+    flow = W_c * (p_amb / published.p_amb) / faster
+    np.testing.assert_allclose(m.eta_c(flow, Pi_c, there), m.eta_c(W_c, Pi_c, here), rtol=1e-12)
+    flows = [m.Phi_c(c.T_amb, Pi_c, omega, c) for c, omega in ((there, omega_t * faster), (here, omega_t))]
+    np.testing.assert_allclose(*flows, rtol=1e-9)
+    np.testing.assert_array_equal(m.eta_c(W_c, Pi_c, here), m.eta_c(W_c, Pi_c, constants(published)))
+
+
+def test_the_published_compressor_knows_no_weather() -> None:
+    m, high_up = bind("numpy"), we2011.PARAMETERS.replace(p_amb=85e3, T_amb=270.0)
+    own = high_up.replace(p_cmap=101e3, T_cmap=298.0)
+    for weather in (high_up, own):
+        assert constants(weather).flow_correction == constants(weather).speed_correction == 1.0
+    assert m.eta_c(0.2, 1.6, constants(own)) != m.eta_c(0.2, 1.6, constants(own.replace(k_cflow=0.5)))

@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 
 from dieseltwin.engine import Inputs, constants, load_engine, simulate, we2011
+from dieseltwin.engine.actuation import actuate_lanes
 from dieseltwin.engine.binding import numpy_model
+from dieseltwin.engine.extended import Extension, simulate_extended
+from dieseltwin.engine.extended_terms import along
 from dieseltwin.engine.map_corrections import (
     ARGUMENTS,
     CORRECTED_POINTS,
@@ -19,6 +22,7 @@ from dieseltwin.engine.map_corrections import (
     corrections_of,
     look_up,
 )
+from dieseltwin.engine.parameters import parameter_batch
 from dieseltwin.engine.terms import CorrectionTerm
 from dieseltwin.errors import InputError
 
@@ -101,6 +105,21 @@ def test_simulator_and_frame_look_up_the_same_correction():
     change = np.gradient(table["p_im_pa"], table["time_s"])
     inner = slice(5, -5)
     assert np.corrcoef(rate[inner], change[inner])[0, 1] > 0.98
+
+
+def test_the_simulator_looks_the_compressor_up_in_the_weather_of_its_maps():
+    """At rest the balances close along the trajectory by corrected flow and speed; by mass flow they don't."""
+    coefficients = np.where(basis().usual, 0.03 * np.random.default_rng(3).standard_normal(len(basis().names)), 0.0)
+    raw = _engine(coefficients).replace(p_amb=85e3, T_amb=275.0, p_cmap=101e3, T_cmap=298.0)
+    high_up, time = raw.replace(k_cflow=1.0, k_cspeed=1.0), np.arange(0.0, 40.0, 0.2)
+    inputs = Inputs(time, *(np.full(time.size, value) for value in (1400.0, 120.0, 20.0, 50.0)))
+    actuation = actuate_lanes(inputs, high_up, {}, 1, None, 0.025)[0]
+    plain = Extension(corrections=corrections_of(coefficients))
+    first = np.array([[[1.4e5, 1.6e5, 6000.0]]])
+    states = simulate_extended(actuation, parameter_batch(high_up), plain, first).states[0]
+    rest, unlike = (along(states, actuation, engine.terms, constants(engine))[0] for engine in (high_up, raw))
+    assert abs(rest.domega_t[-1]) < 1.0 and abs(rest.dp_im[-1]) < 20.0  # of 6000 rad/s and 140 kPa, a second
+    assert abs(unlike.domega_t[-1]) > 100.0
 
 
 def test_another_number_of_coefficients_is_refused():

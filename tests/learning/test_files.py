@@ -18,9 +18,11 @@ from dieseltwin.learning.belief import MAPS_AT, Belief, prior_belief
 from dieseltwin.learning.domain import domain_of
 from dieseltwin.learning.faults import FaultBeside
 from dieseltwin.learning.files import LearnedEngine, going_on, load_learned, overlap, save_learned
+from dieseltwin.learning.weather import EXPONENTS, WEATHER, Exponent, as_sure_as_the_weather, of_own_weather
 from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.reader import Recording, recording
 from dieseltwin.recordings.shared_rows import distinct
+from dieseltwin.settings.defaults import default_search
 
 LEAK = Term(effect="boost_leak", magnitude=2.5e-5)
 
@@ -61,10 +63,14 @@ def two() -> tuple[Recording, Recording]:
 
 def test_round_trip_keeps_everything(tmp_path: Path, two):
     leak = FaultBeside("exhaust_leak", "m2", 3.3e-5, 3e-6, 121.0, 5e-6, 104.0)
-    learned = replace(_learned(*two), faults=(leak,))
+    exponents = {"k_cflow": Exponent(1.02, 0.03)}
+    learned = replace(_learned(*two), faults=(leak,), exponents=exponents)
     save_learned(learned, tmp_path / "mine.yaml")
     again = load_learned(tmp_path / "mine.yaml")
-    assert again is not None and again.faults == (leak,)
+    assert again is not None and again.faults == (leak,) and again.exponents == exponents
+    assert again.engine == learned.engine and again.engine.k_cflow == 1.02 and again.engine.k_cspeed == 0.5
+    before = default_search().circumstances
+    assert (again.beliefs(before).k_cflow, again.beliefs(before).k_cspeed) == (0.03, before.k_cspeed)
     assert np.array_equal(again.belief.mean, learned.belief.mean)
     assert np.array_equal(again.belief.covariance, learned.belief.covariance)
     assert again.base == learned.base and again.domain == learned.domain
@@ -200,6 +206,46 @@ def test_an_engine_that_is_as_it_was_learned_is_not_repaired(tmp_path: Path, two
     assert known is not None and known.repaired is None and known.moved is None and not known.found
     save_learned(replace(known, repaired=known.engine), tmp_path / "healthy.yaml")
     assert load_engine(tmp_path / "healthy.yaml") == known.engine
+
+
+def _other_weather(path: Path, change: Callable[[str], str]) -> None:
+    lines = [line for line in path.read_text().splitlines() if not line.startswith("# content_sha256:")]
+    path.write_text("\n".join(line for line in map(change, lines) if line))
+
+
+def test_a_file_of_before_has_its_compressor_in_the_weather_of_its_recordings(tmp_path: Path, two):
+    path = tmp_path / "mine.yaml"
+    one, other = (replace(item, p_amb_pa=p_amb, t_amb_k=290.0) for item, p_amb in zip(two, (9e4, 1e5), strict=True))
+    learned = _learned(one, other)
+    save_learned(learned, path)
+    assert learned.engine.p_cmap == pytest.approx(9.5e4) and learned.engine.k_cflow == 0.5
+    _other_weather(path, lambda line: "" if line.split(":")[0] in (*EXPONENTS, *WEATHER) else line)
+    assert load_engine(path).k_cflow == 0.0  # as it was written
+    known = load_learned(path)
+    assert known is not None and known.repaired is None and known.engine == learned.engine
+
+
+def test_exponents_are_no_surer_than_the_weather_that_shows_them(two):
+    beliefs, shown = default_search().circumstances, {name: Exponent(1.0, 0.01) for name in EXPONENTS}
+    days = [replace(item, t_amb_k=at, p_amb_pa=p_amb, columns={**item.columns, "p_amb_pa": one, "t_amb_k": one})
+            for item, at, p_amb in zip(two, (280.0, 300.0), (1e5, 8.5e4), strict=True)
+            for one in [np.ones(item.time_s.size)]]  # fmt: skip
+    said = as_sure_as_the_weather(shown, days, of_own_weather(we2011.PARAMETERS, days), beliefs)
+    assert 0.03 < said["k_cflow"].std < 0.06 and 0.15 < said["k_cspeed"].std < 0.3
+    unread = [replace(item, columns=one.columns) for item, one in zip(days, two, strict=True)]
+    assert as_sure_as_the_weather(shown, unread, of_own_weather(we2011.PARAMETERS, days), beliefs) == {}
+
+
+def test_an_engine_file_may_say_how_its_compressor_goes_and_not_in_which_weather_it_was_learned(tmp_path: Path, two):
+    path, corrected = tmp_path / "mine.yaml", we2011.PARAMETERS.replace(k_cflow=1.0)
+    assert of_own_weather(corrected, two).k_cflow == 1.0 and of_own_weather(corrected, two).k_cspeed == 0.5
+    save_learned(_learned(*two), path)
+    _other_weather(path, lambda line: "k_cflow: 1.0" if line.startswith("k_cflow") else line)
+    known = load_learned(path)
+    assert known is not None and known.engine.k_cflow == 1.0 and not known.found
+    _other_weather(path, lambda line: "T_cmap: 260.0" if line.startswith("T_cmap") else line)
+    with pytest.raises(InputError, match=r"T_cmap: got 260"):
+        load_learned(path)
 
 
 def test_learning_goes_on_from_an_engine_as_it_was_learned(two):

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from dieseltwin.discovery.likelihood.circumstances import WithCircumstances, from_the_middle
 from dieseltwin.discovery.likelihood.metric import Metric
@@ -18,9 +19,11 @@ from dieseltwin.discovery.search.preparation import prepare
 from dieseltwin.discovery.twins.diesel_circumstances import LoggedTwin
 from dieseltwin.discovery.twins.interface import Array, Lanes
 from dieseltwin.engine import EngineParameters
-from dieseltwin.recordings.circumstances import DRIFT, TIME_SHIFT, Circumstance
+from dieseltwin.learning.weather import EXPONENTS, UNDECIDED, Exponent
+from dieseltwin.recordings.circumstances import CORRECTED, DRIFT, TIME_SHIFT, Circumstance
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.settings.defaults import default_search
+from dieseltwin.settings.search import CircumstanceSettings
 
 _FAR = 0.6  # of a prior's standard deviation (5 kPa, 9 K): nearer weather is left to the fit of all recordings
 _NEAR = 0.15  # of a prior's standard deviation (1.2 kPa, 2 K, 0.02 s): farther, responses are others
@@ -29,13 +32,16 @@ _SURE = 4.0  # standard deviations that a clock of the engine's recordings is of
 _STRANGE = 4.0  # standard deviations of its prior beyond which weather is another fault's (32 kPa, 60 K; a charge 40 K)
 
 
-def recorded_twin(recording: Recording, engine: EngineParameters, map_rms: float) -> LoggedTwin:
-    """The twin of a recording of a healthy engine, under the circumstances that it shows.
+def recorded_twin(
+    recording: Recording, engine: EngineParameters, map_rms: float, beliefs: CircumstanceSettings | None = None
+) -> LoggedTwin:
+    """The twin of a recording of a healthy engine, under the circumstances that it shows; `beliefs` of these, None for
+    those of params.yaml.
 
     Raises:
         InputError: no usable sensor, or no stretch with the engine running.
     """
-    twin = LoggedTwin(recording, engine, map_tolerance=map_rms)
+    twin = LoggedTwin(recording, engine, map_tolerance=map_rms, beliefs=beliefs)
     found = prepare(twin, default_search().driving)
     for _ in range(ROUNDS):
         other = under_circumstances(found, well=True)
@@ -51,14 +57,16 @@ def recorded_twin(recording: Recording, engine: EngineParameters, map_rms: float
 
 
 def open_of(twin: WithCircumstances) -> tuple[Circumstance, ...]:
-    """What stays open of a reference: clocks that were found to be off, ambient and charge that no column gives.
+    """What stays open of a reference: clocks that were found to be off, ambient and charge that no column gives, and
+    what the compressor does in weather that isn't the mean of all recordings.
 
     A charge of another temperature is one product with the level of eta_vol. It has to be open even so: two pieces of a
     reference whose charges are 5 K apart would be met by a map that is off in between, and known too well.
     """
     unread = {item.column for item in twin.circumstances if not item.kind and not item.read}
     weather = (item for item in twin.circumstances if item.kind in ("", DRIFT) and item.column in unread)
-    return (*weather, *(item for item in twin.circumstances if item.name in twin.opened))
+    compressor = (item for item in twin.circumstances if item.kind == CORRECTED)
+    return (*weather, *compressor, *(item for item in twin.circumstances if item.name in twin.opened))
 
 
 @dataclass(frozen=True)
@@ -83,6 +91,22 @@ class Weather:
     value: float
     unit: str
     deviations: float
+
+
+@dataclass(frozen=True)
+class Exponents:
+    """The compressor's exponents as a recording shows them.
+
+    Attributes:
+        names: (K,) of what is open of them, nothing in the weather of the maps.
+        values: (K,) [-]; covariance: (K, K) at given coordinates of the engine.
+        by_coordinate: (K, D) what they change by with a coordinate [inverse units].
+    """
+
+    names: tuple[str, ...]
+    values: Array
+    covariance: Array
+    by_coordinate: Array
 
 
 class Conditions:
@@ -124,6 +148,19 @@ class Conditions:
             for item, at in zip(self.items, estimate, strict=True) if not item.kind and abs(at) > _STRANGE
         )  # fmt: skip
 
+    def exponents(self, metric: Metric, estimate: Array, columns: Array) -> Exponents:
+        """Exponents of the compressor beside coordinates whose responses are `columns` (D, n, C); the others as of
+        `clocks`."""
+        at = [k for k, item in enumerate(self.items) if item.kind == CORRECTED]
+        names = tuple(self.items[k].column for k in at)
+        if not at:
+            return Exponents(names, np.zeros(0), np.zeros((0, 0)), np.zeros((0, len(columns))))
+        std = np.array([self.items[k].std for k in at])
+        values = np.array([self.items[k].assumed for k in at]) + std * estimate[at]
+        covariance = metric.nuisance_covariance()[np.ix_(at, at)] * np.outer(std, std)
+        moved = np.stack([metric.nuisance_estimate(column)[at] for column in columns], axis=1)
+        return Exponents(names, values, covariance, -std[:, None] * moved)
+
     def clocks(self, twin: LoggedTwin, metric: Metric, estimate: Array) -> tuple[Clock, ...]:
         """Clocks that are open, as a fit says them: `metric` with the responses, (K,) estimate as of `moved`."""
         if not any(item.kind == TIME_SHIFT for item in self.items):
@@ -135,6 +172,32 @@ class Conditions:
         std = np.sqrt(np.maximum(np.diag(covariance), _SHARPEST**2))
         rows = zip(self.items, values.tolist(), std.tolist(), strict=True)
         return tuple(Clock(item.column, value, sd) for item, value, sd in rows if item.kind == TIME_SHIFT)
+
+
+def exponents_together(
+    found: Sequence[Exponents], covariance: Array, beliefs: CircumstanceSettings
+) -> dict[str, Exponent]:
+    """Exponents of one compressor by name, as its recordings together show them; none where all are in one weather.
+
+    Each recording has them as its own, with what was believed before; here they are the same, and that counts once.
+
+    Args:
+        found: of each recording; covariance: (D, D) of the coordinates; beliefs: what was believed before.
+    """
+    names = [name for own in found for name in own.names]
+    if not names:
+        return {}
+    known = [name for name in EXPONENTS if name in names]
+    by_coordinate = np.concatenate([own.by_coordinate for own in found])
+    whole = by_coordinate @ covariance @ by_coordinate.T + block_diag(*(own.covariance for own in found if own.names))
+    same = np.equal.outer(names, known).astype(np.float64)
+    before = np.array([getattr(beliefs, name) for name in known]) ** -2.0
+    again = np.diag((same.sum(axis=0) - 1.0) * before)
+    precision = np.linalg.inv(whole)
+    together = np.linalg.inv(same.T @ precision @ same - again)
+    push = same.T @ precision @ np.concatenate([own.values for own in found]) - again @ np.full(len(known), UNDECIDED)
+    rows = zip(known, (together @ push).tolist(), np.sqrt(np.diag(together)).tolist(), strict=True)
+    return {name: Exponent(value, std) for name, value, std in rows}
 
 
 def clocks_of_all(found: Sequence[Sequence[Clock]]) -> Mapping[str, float]:
@@ -150,4 +213,6 @@ def clocks_of_all(found: Sequence[Sequence[Clock]]) -> Mapping[str, float]:
     return late
 
 
-__all__ = ["Clock", "Conditions", "Weather", "clocks_of_all", "open_of", "recorded_twin"]
+__all__ = [
+    "Clock", "Conditions", "Exponents", "Weather", "clocks_of_all", "exponents_together", "open_of", "recorded_twin",
+]  # fmt: skip

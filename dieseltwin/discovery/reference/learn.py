@@ -10,29 +10,30 @@ belief that they ask for.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from dieseltwin.discovery.reference.conditions import Weather, clocks_of_all
-from dieseltwin.discovery.reference.evidence import Evidence, combined
+from dieseltwin.discovery.reference.conditions import Weather, clocks_of_all, exponents_together
+from dieseltwin.discovery.reference.evidence import Evidence, Learned, combined
 from dieseltwin.discovery.reference.faults import main_faults
 from dieseltwin.discovery.reference.further import further_errors, gain_of
 from dieseltwin.discovery.reference.part import Linear, Part
 from dieseltwin.discovery.reference.suspicion import Suspicion
 from dieseltwin.discovery.twins.interface import Array, Hypothesis
 from dieseltwin.engine import EngineParameters
-from dieseltwin.learning.belief import HEALTH_AT, NOTHING_FURTHER, Belief, Further, prior_belief, with_further
+from dieseltwin.learning.belief import HEALTH_AT, NOTHING_FURTHER, Belief, prior_belief, with_further
 from dieseltwin.learning.domain import domain_of
 from dieseltwin.learning.faults import FaultBeside
 from dieseltwin.learning.files import LearnedEngine
+from dieseltwin.learning.weather import Exponent, as_sure_as_the_weather, beside_exponents, of_own_weather
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.recordings.shared_rows import distinct
 from dieseltwin.settings.defaults import default_learn, default_search
 from dieseltwin.settings.discovery import LearnConfig
+from dieseltwin.settings.search import CircumstanceSettings
 
 _NEAR = 0.02  # of -2 log posterior that a step promises, when the noise is estimated from what is left
 _ROUNDS = 12
@@ -47,31 +48,6 @@ _SIFTED = 3  # times that windows are looked at for what doesn't act linearly, w
 _SHRINKS = (1.0, 0.4, 0.16, 0.064)
 _DAMPINGS = (0.01, 0.1, 1.0)  # of an unknown's own information
 _LEAST_INFORMATION = 1e-6  # of an effect's information, that must be left when all coordinates are taken out
-
-
-@dataclass(frozen=True)
-class Learned:
-    """What some recordings say together.
-
-    Attributes:
-        belief: after all of them.
-        evidence: of each, linearised about what all say.
-        converged: whether all fits did, and linearising anew changed nothing worth naming.
-        further: errors of the maps beyond the usual ones, as the recordings ask for them.
-        suspicions: effects by which the reference itself looks faulty, strongest first.
-        clocks: column -> how late it is recorded, of those whose clock is off [s].
-        strange: weather and charge of a recording that lie where next to nobody drives.
-        faults: the main faults, each fitted beside maps that are believed to be off by no more than usual.
-    """
-
-    belief: Belief
-    evidence: tuple[Evidence, ...]
-    converged: bool
-    further: Further
-    suspicions: tuple[Suspicion, ...] = ()
-    clocks: Mapping[str, float] = field(default_factory=dict)
-    strange: tuple[Weather, ...] = ()
-    faults: tuple[FaultBeside, ...] = ()
 
 
 def learn_engine(
@@ -95,14 +71,13 @@ def learn_engine(
         base, map_rms, recordings = known.base, known.map_rms, [*known.recordings, *recordings]
         prior = known.prior if prior is None else prior
     together = distinct(recordings)
-    found = learn(together, base, map_rms, settings, prior)
+    found = learn(together, of_own_weather(base, together), map_rms, settings, prior)
     misfits = {item.sha256: part.misfit for item, part in zip(together, found.evidence, strict=True)}
     domain = domain_of(found.belief, map_rms * found.further.size, base)
-    known_now = LearnedEngine(
+    return LearnedEngine(
         base, found.belief, map_rms, together, domain, misfits, prior, found.further, found.clocks, found.converged,
-        faults=found.faults,
-    )
-    return known_now, found
+        faults=found.faults, exponents=found.exponents,
+    ), found  # fmt: skip
 
 
 def learn(
@@ -123,9 +98,7 @@ def learn(
     """
     settings = settings or default_learn()
     prior = prior_belief(engine, map_rms) if prior is None else prior
-    joint = _Joint([Part(item, engine, prior, map_rms) for item in sorted(recordings, key=lambda r: r.sha256)], prior)
-    joint.fit(_ROUNDS, _NEAR)
-    joint.whiten_anew()
+    joint, exponents = _begun(sorted(recordings, key=lambda r: r.sha256), engine, prior, map_rms)
     usual, further = prior, NOTHING_FURTHER
     beside: tuple[FaultBeside, ...] = ()
     for _ in range(_LOOKS):
@@ -152,7 +125,30 @@ def learn(
     least = default_search().driving.alarm_size
     suspicions = tuple(item for item in joint.suspicions(settings.suspicious_gain) if item.tolerances >= least)
     return Learned(combined(prior, evidence), evidence, converged, further, suspicions, joint.clocks(), joint.strange(),
-                   beside or main_faults(joint, settings.suspicious_gain))  # fmt: skip
+                   beside or main_faults(joint, settings.suspicious_gain), exponents)  # fmt: skip
+
+
+def _begun(
+    recordings: Sequence[Recording], engine: EngineParameters, prior: Belief, map_rms: float
+) -> tuple[_Joint, Mapping[str, Exponent]]:
+    """The fit of usual maps, and what it shows of the compressor's exponents where recordings are in different weather.
+
+    Each recording has exponents of its own at first. A map shifted along the flow is others on warm days and on cold
+    ones; all are fitted anew about those that the recordings together show, or the map stays shifted.
+    """
+    def fitted(engine: EngineParameters, beliefs: CircumstanceSettings) -> _Joint:
+        joint = _Joint([Part(item, engine, prior, map_rms, beliefs) for item in recordings], prior)
+        joint.fit(_ROUNDS, _NEAR)
+        joint.whiten_anew()
+        return joint
+
+    beliefs = default_search().circumstances
+    joint = fitted(engine, beliefs)
+    shown = as_sure_as_the_weather(joint.exponents(beliefs), recordings, engine, beliefs)
+    if shown:
+        said = {name: item.value for name, item in shown.items()}
+        joint = fitted(engine.replace(**said), beside_exponents(beliefs, shown))
+    return joint, shown
 
 
 class _Joint:
@@ -238,25 +234,31 @@ class _Joint:
     def _put_right(self) -> None:
         """Simulate in the clocks and the weather that the readings show beside the maps as corrected by now. They are
         open all the time, but linear only near where the simulation is."""
-        rows = zip(self.parts, self.at, self.residuals, strict=True)
-        there = [part.put_right(at, self.x, rest) for part, at, rest in rows]
+        there = [part.put_right(at, self.x, rest) for part, at, rest in self._left()]
         if any(there):
             self.at = [new or at for new, at in zip(there, self.at, strict=True)]
             self._simulate()
 
     def clocks(self) -> Mapping[str, float]:
         """Column -> how late all recordings together show it to be [s]."""
-        rows = zip(self.parts, self.at, self.residuals, strict=True)
-        return clocks_of_all([part.clocks(at, rest) for part, at, rest in rows])
+        return clocks_of_all([part.clocks(at, rest) for part, at, rest in self._left()])
+
+    def exponents(self, beliefs: CircumstanceSettings) -> Mapping[str, Exponent]:
+        """What all recordings together show of the compressor's exponents, by name; none in one weather."""
+        found = [part.exponents(at, rest) for part, at, rest in self._left()]
+        return exponents_together(found, np.asarray(np.linalg.inv(self._information())), beliefs)
 
     def strange(self) -> tuple[Weather, ...]:
         """Weather and charge in which next to nobody drives."""
-        rows = zip(self.parts, self.at, self.residuals, strict=True)
-        return tuple(item for part, at, rest in rows for item in part.conditions.strange(at.conditions_at(rest)))
+        found = [part.conditions.strange(at.conditions_at(rest)) for part, at, rest in self._left()]
+        return tuple(item for some in found for item in some)
+
+    def _left(self) -> Iterator[tuple[Part, Linear, Array]]:
+        return zip(self.parts, self.at, self.residuals, strict=True)
 
     def whiten_anew(self) -> None:
         """Estimate the noise of every recording from what the maps as corrected by now leave."""
-        for part, at, rest in zip(self.parts, self.at, self.residuals, strict=True):
+        for part, at, rest in self._left():
             part.whiten_anew(at, self.x, rest)
         self._rewhiten()
 
@@ -264,13 +266,11 @@ class _Joint:
         """Leave windows out in which what is believed now doesn't act linearly; whether there are any."""
         covariance: Array = np.asarray(np.linalg.inv(self._information()), dtype=np.float64)
         found = [part.crooked(at, self.x, covariance, rng) for part, at in zip(self.parts, self.at, strict=True)]
-        rows = zip(self.parts, self.at, self.residuals, found, strict=True)
-        for part, at, rest, windows in rows:
+        for part, at, rest, windows in zip(self.parts, self.at, self.residuals, found, strict=True):
             if windows.any():
                 part.leave_out(windows)
                 part.whiten_anew(at, self.x, rest)
-        any_out = any(windows.any() for windows in found)
-        if any_out:
+        if any_out := any(windows.any() for windows in found):
             self._simulate()
             self._rewhiten()
         return any_out

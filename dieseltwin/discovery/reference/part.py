@@ -14,7 +14,7 @@ from dieseltwin.discovery.likelihood.metric import Metric, WhitenedNuisances, Wh
 from dieseltwin.discovery.likelihood.noise import noise_of
 from dieseltwin.discovery.likelihood.score import effects_beside, secant_sizes
 from dieseltwin.discovery.likelihood.windows import bounded, settled_windows
-from dieseltwin.discovery.reference.conditions import Clock, Conditions, recorded_twin
+from dieseltwin.discovery.reference.conditions import Clock, Conditions, Exponents, recorded_twin
 from dieseltwin.discovery.search.preparation import split_growing
 from dieseltwin.discovery.twins.interface import Array, rows_of, single
 from dieseltwin.engine import HEALTH, MEASURED, EngineParameters
@@ -23,6 +23,7 @@ from dieseltwin.errors import InputError
 from dieseltwin.learning.belief import GAINS_AT, HEALTH_AT, MAPS_AT, OFFSETS_AT, Belief
 from dieseltwin.least_squares import symmetric_root
 from dieseltwin.recordings.reader import Recording
+from dieseltwin.settings.search import CircumstanceSettings
 
 _ROUGH_ROUNDS = 5
 _SETTLING_ROUNDS = 3
@@ -78,9 +79,12 @@ class Part:
         left_out: (W,) windows that are not used.
     """
 
-    def __init__(self, recording: Recording, engine: EngineParameters, prior: Belief, map_rms: float) -> None:
+    def __init__(
+        self, recording: Recording, engine: EngineParameters, prior: Belief, map_rms: float,
+        beliefs: CircumstanceSettings | None = None,
+    ) -> None:  # fmt: skip
         self.sha256, self.name = recording.sha256, str(recording.path or "recording")
-        self.twin = recorded_twin(recording, engine, map_rms)
+        self.twin = recorded_twin(recording, engine, map_rms, beliefs)
         self.conditions = Conditions(self.twin)
         self.at = [MEASURED.index(name) for name in self.twin.channels]
         twin = self.twin
@@ -144,6 +148,10 @@ class Part:
     def clocks(self, here: Linear, residual: Array) -> tuple[Clock, ...]:
         """Clocks that are open, as readings less simulation (n, C) say them."""
         return self.conditions.clocks(self.twin, here.metric, here.conditions_at(residual))
+
+    def exponents(self, here: Linear, residual: Array) -> Exponents:
+        """Exponents of the compressor, where they are open, as readings less simulation (n, C) say them."""
+        return self.conditions.exponents(here.metric, here.conditions_at(residual), here.columns)
 
     def residual(self, x: Array, local: Array) -> Array:
         """Readings less simulation (n, C), 0 where there is no reading."""

@@ -27,7 +27,7 @@ from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.search.variants import scan
 from dieseltwin.discovery.twins.interface import Array, OverRecordings, Twin
 from dieseltwin.recordings.channels import AMBIENT
-from dieseltwin.recordings.circumstances import DRIFT, SCALE, TIME_SHIFT, Circumstance
+from dieseltwin.recordings.circumstances import CORRECTED, DRIFT, SCALE, TIME_SHIFT, Circumstance
 
 ROUNDS = 3  # of looking again under what was found
 
@@ -174,7 +174,7 @@ def _moved(found: Search, twin: WithCircumstances) -> Twin | None:
 
 def _bar(item: Circumstance) -> float:
     """How far from where the twin has it a circumstance is linear enough, in standard deviations of its prior."""
-    return _MOVED if item.kind or item.read else _MOVED_UNREAD
+    return _MOVED_UNREAD if item.kind == CORRECTED or not (item.kind or item.read) else _MOVED
 
 
 def _bar_beside(item: Circumstance) -> float:
@@ -183,7 +183,8 @@ def _bar_beside(item: Circumstance) -> float:
     A wrong effect bends the circumstances, and the charge most readily: in the place of a leak that was withheld one
     moved it by 3 K, and the leak's law left more than half of the misfit.
     """
-    return _BESIDE * (_MOVED_UNREAD if item.plain in AMBIENT and not item.read else _MOVED)
+    close = item.kind == CORRECTED or (item.plain in AMBIENT and not item.read)
+    return _BESIDE * (_MOVED_UNREAD if close else _MOVED)
 
 
 def _movable(twin: WithCircumstances) -> list[Circumstance]:

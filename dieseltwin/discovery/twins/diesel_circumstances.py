@@ -17,8 +17,10 @@ from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.engine.inputs import INPUT_COLUMNS, Actuation
 from dieseltwin.engine.terms import Term
 from dieseltwin.learning.belief import Belief
+from dieseltwin.learning.weather import EXPONENTS
 from dieseltwin.recordings.between_rows import rows_are_slow, rows_may_be_slow
 from dieseltwin.recordings.circumstances import (
+    CORRECTED,
     DRIFT,
     SCALE,
     TIME_SHIFT,
@@ -27,11 +29,12 @@ from dieseltwin.recordings.circumstances import (
     put_right,
     with_charge,
 )
+from dieseltwin.recordings.columns import Columns
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.settings.defaults import default_search
 from dieseltwin.settings.search import CircumstanceSettings
 
-_STEPS = {"p_amb_pa": 0.5, "t_amb_k": 0.005, "t_im_k": 0.005, SCALE: 1e-5, TIME_SHIFT: 0.05}
+_STEPS = {"p_amb_pa": 0.5, "t_amb_k": 0.005, "t_im_k": 0.005, SCALE: 1e-5, TIME_SHIFT: 0.05, CORRECTED: 1e-4}
 """Differences for the responses [unit], as small as those of health and maps: where p_em falls below p_im no gas comes
 back through the EGR valve, and two rows at which the charge's difference reached that kink, and health's did not, had
 three quarters of all that a recording said of the charge, wrongly. That of shifts is a good part of a row, as signals
@@ -42,7 +45,9 @@ _FOLLOWED = {"p_amb_pa": 100.0, "time_shift:n_e_rpm": 0.05}
 
 _EVERYTHING = "time_shift:"  # of all inputs together: what a reading does when its own clock is moved the other way
 
-_CONSTANT = {"p_amb_pa": "p_amb", "t_amb_k": "T_amb", "t_im_k": "T_im"}
+_CONSTANT = {
+    "p_amb_pa": "p_amb", "t_amb_k": "T_amb", "t_im_k": "T_im", **{f"{CORRECTED}:{name}": name for name in EXPONENTS}
+}  # fmt: skip
 _ALIKE = {
     "scale:u_delta_mg": ("injector_drift",), "time_shift:u_egr_pct": ("egr_dead_time",),
     "time_shift:u_vgt_pct": ("vgt_dead_time",), "time_shift:u_delta_mg": ("fuel_lag",),
@@ -87,6 +92,27 @@ def circumstances_of(
     return tuple(replace(item, effects=_ALIKE.get(item.name, ())) for item in found)
 
 
+def exponents_of(
+    recording: Recording, engine: EngineParameters, priors: CircumstanceSettings
+) -> tuple[Circumstance, ...]:
+    """How far the maps of a learned engine's compressor go by corrected flow and speed, where a recording's weather
+    isn't that which they are of.
+
+    Args:
+        recording: in the weather that it is judged in.
+        engine: with its exponents; those that are said to be 0 or 1 stay, as in the published engine.
+        priors: what else is believed; weather that no sensor tells from that of the maps is the same.
+    """
+    colder = abs(recording.t_amb_k - engine.T_cmap) > priors.t_amb_read_k
+    thinner = abs(recording.p_amb_pa - engine.p_cmap) > priors.p_amb_read_pa
+    matters = {"k_cflow": colder or thinner, "k_cspeed": colder}
+    return tuple(
+        Circumstance(f"{CORRECTED}:{name}", getattr(engine, name), getattr(priors, name), "-", np.inf, True)
+        for name in EXPONENTS
+        if matters[name] and getattr(engine, name) not in (0.0, 1.0)
+    )
+
+
 def _course(time_s: Array, pressure: Array | None) -> Array:
     """Course of a drift over the rows (n,), from its middle, 1 between its ends: a reading's own, else linear."""
     if pressure is None or not np.isfinite(pressure).any() or not np.nanmax(pressure) > np.nanmin(pressure):
@@ -126,7 +152,8 @@ class LoggedTwin(EngineTwin):
         self._read = recording, engine, sensors, map_tolerance, belief
         self.beliefs = beliefs or default_search().circumstances
         self.opened = opened
-        self.circumstances = circumstances_of(recording, engine, self.channels, self.beliefs, opened)
+        self.circumstances = (*circumstances_of(recording, engine, self.channels, self.beliefs, opened),
+                              *exponents_of(right, engine, self.beliefs))  # fmt: skip
         self._leave_delays_to_clocks()
         pressure = recording.columns.get("p_amb_pa")
         self._drift = _course(self.recording_time_s, None if pressure is None else pressure[self.rows])
@@ -241,3 +268,15 @@ class LoggedTwin(EngineTwin):
             inputs = replace(inputs, **{**earlier, **made.redone(earlier, ambient)})
         own = {key: values for key, values in schedules.items() if key in moved}
         return actuate_lanes(inputs, self.engine, moved, 1, own, self.steps_s)[0]
+
+
+def beside_its_compressor(
+    recording: Recording, engine: EngineParameters, sensors: Sequence[str], belief: Belief,
+    beliefs: CircumstanceSettings | None = None,
+) -> LoggedTwin:  # fmt: skip
+    """The twin of a learned engine's recording of which all is believed but what its compressor does in that weather;
+    the charge's temperature is the engine's. Arguments as of `LoggedTwin`."""
+    columns = {name: values for name, values in recording.columns.items() if name != "t_im_k"}
+    twin = LoggedTwin(replace(recording, columns=Columns(columns)), engine, sensors, belief=belief, beliefs=beliefs)
+    twin.circumstances = tuple(item for item in twin.circumstances if item.kind == CORRECTED)
+    return twin

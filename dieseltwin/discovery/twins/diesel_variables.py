@@ -36,7 +36,7 @@ def variables_along(
     if signals:  # from row to row a signal is linear, so that the simulation's own are nearer
         W_egr, T_em, W_c = readings[:, _W_EGR], readings[:, _T_EM], readings[:, _W_C]
     n_e, u_delta = actuation.at_samples()[:2]
-    Pi_t, Pi_c, Psi_c, BSR = model.map_arguments(p_im, p_em, omega, q.p_bc, q.p_es, T_em, c)
+    Pi_t, Pi_c, Psi_c, BSR, omega_c = model.map_arguments(p_im, p_em, omega, q.p_bc, q.p_es, T_em, c)
     named = {
         "p_im": p_im, "p_em": p_em, "omega_t": omega, "n_e": n_e, "u_delta": u_delta,
         "u_egr": np.clip(actuation.u_egr, 0.0, None), "u_vgt": actuation.u_vgt, "T_em": T_em, "T_im": q.T_im,
@@ -44,7 +44,8 @@ def variables_along(
         "W_c": W_c, "W_t": q.W_t, "W_egr": W_egr, "W_ei": q.W_ei, "W_eo": q.W_eo, "W_f": q.W_f, "Pi_c": Pi_c,
         "Pi_t": Pi_t, "eta_vol": q.eta_vol, "x_r": x_r, "T_1": T_1, "Pi_egr": p_im / p_em,
         "Pi_e": model.exhaust_to_intake_ratio(p_em, p_im), "BSR": BSR,
-        "Psi_c": Psi_c, "egr_share": W_egr / np.maximum(W_egr + W_c, 1e-6),
+        "Psi_c": Psi_c, "omega_c": omega_c, "W_cc": model.corrected_flow(W_c, c),
+        "egr_share": W_egr / np.maximum(W_egr + W_c, 1e-6),
         "t": since_start(actuation), "p_amb": c.p_amb, "T_amb": c.T_amb,
     }  # fmt: skip
     out = {name: np.broadcast_to(value, p_im.shape) for name, value in named.items()}

@@ -11,13 +11,23 @@ from dieseltwin.challenge.plant import run_plant
 from dieseltwin.challenge.routes import draw_driving
 from dieseltwin.challenge.sensors import SensorSet, read
 from dieseltwin.discovery.discover import prepare
-from dieseltwin.discovery.reference.conditions import Clock, clocks_of_all, open_of, recorded_twin
-from dieseltwin.discovery.reference.learn import Learned, _Joint, learn_engine
+from dieseltwin.discovery.reference.conditions import (
+    Clock,
+    Exponents,
+    clocks_of_all,
+    exponents_together,
+    open_of,
+    recorded_twin,
+)
+from dieseltwin.discovery.reference.evidence import Learned
+from dieseltwin.discovery.reference.learn import _Joint, learn_engine
 from dieseltwin.discovery.reference.part import Part
 from dieseltwin.engine import we2011
 from dieseltwin.learning.belief import MAPS_AT, prior_belief
 from dieseltwin.learning.files import LearnedEngine, load_learned, save_learned
+from dieseltwin.learning.weather import UNDECIDED
 from dieseltwin.recordings.reader import Recording, recording
+from dieseltwin.settings.defaults import default_search
 
 MAP_RMS = 0.02
 LABORATORY = we2011.PARAMETERS.model_dump()
@@ -113,3 +123,21 @@ def test_recordings_are_weighed_by_how_surely_they_say_a_clock():
     late = clocks_of_all([(one, unsure), (other,)])
     assert late.keys() == {"t_em_k"} and late["t_em_k"] == pytest.approx(0.2, abs=0.002)
     assert clocks_of_all([(replace(one, std=0.06),)]) == {}
+
+
+def _shown(value: float, std: float, by_map: float = 0.0) -> Exponents:
+    return Exponents(("k_cflow",), np.array([value]), np.array([[std**2]]), np.array([[by_map]]))
+
+
+def test_what_is_believed_of_an_exponent_counts_once_and_maps_that_are_open_widen_it():
+    beliefs, maps = default_search().circumstances, np.array([[1.0]])
+    nothing, sharp = _shown(UNDECIDED, beliefs.k_cflow), _shown(0.98, 0.02)
+    assert exponents_together([Exponents((), np.zeros(0), np.zeros((0, 0)), np.zeros((0, 1)))], maps, beliefs) == {}
+    said = exponents_together([nothing] * 5, maps, beliefs)["k_cflow"]
+    assert (said.value, said.std) == pytest.approx((UNDECIDED, beliefs.k_cflow))
+    alone = exponents_together([nothing, sharp], maps, beliefs)["k_cflow"]
+    assert (alone.value, alone.std) == pytest.approx((0.98, 0.02))
+    twice = exponents_together([sharp, sharp], maps, beliefs)["k_cflow"]
+    assert twice.std == pytest.approx(0.02 / 2**0.5, rel=1e-2) and twice.value > 0.98  # the belief is in once
+    beside = exponents_together([_shown(0.98, 0.02, 0.1), _shown(0.98, 0.02, 0.1)], maps, beliefs)["k_cflow"]
+    assert beside.std == pytest.approx((0.1**2 + 0.02**2 / 2.0) ** 0.5, rel=0.03)

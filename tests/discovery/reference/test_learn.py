@@ -13,11 +13,13 @@ from dieseltwin.challenge.plant_effects import Fault
 from dieseltwin.challenge.routes import draw_driving
 from dieseltwin.challenge.sensors import SensorSet, read
 from dieseltwin.discovery.reference import part as part_module
-from dieseltwin.discovery.reference.learn import Learned, _Joint, combined, learn, learn_engine
+from dieseltwin.discovery.reference.evidence import Learned, combined
+from dieseltwin.discovery.reference.learn import _Joint, learn, learn_engine
 from dieseltwin.discovery.reference.part import Part
 from dieseltwin.engine import HEALTH, we2011
 from dieseltwin.errors import InputError
 from dieseltwin.learning.belief import HEALTH_AT, MAPS_AT, NOTHING_FURTHER, prior_belief
+from dieseltwin.learning.weather import of_own_weather
 from dieseltwin.recordings.reader import Recording, recording
 from dieseltwin.settings.defaults import default_learn
 
@@ -43,7 +45,7 @@ def recordings() -> tuple[Recording, Recording]:
 
 @pytest.fixture(scope="module")
 def learned(recordings) -> Learned:
-    return learn(recordings, we2011.PARAMETERS, MAP_RMS)
+    return learn(recordings, of_own_weather(we2011.PARAMETERS, recordings), MAP_RMS)
 
 
 def test_what_is_left_is_noise(learned: Learned):

@@ -1,0 +1,99 @@
+"""The weather that a learned engine's maps are of, and what its compressor does in other weather.
+
+The published compressor's efficiency is a function of mass flow (A.41) and its ellipse one of speed (A.47, A.48). A
+real compressor's map is one of corrected flow and corrected speed. In the weather of learning both are the same, and
+what was learned there says nothing of which holds: 1500 m higher the efficiency differs by 2 to 6 %.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dieseltwin.engine import EngineParameters
+from dieseltwin.recordings.reader import Recording
+from dieseltwin.settings.search import CircumstanceSettings
+
+UNDECIDED = 0.5
+"""Exponent halfway between mass flow and corrected flow, and between speed and corrected speed [-]."""
+
+EXPONENTS = ("k_cflow", "k_cspeed")
+"""Engine parameters that say how far the compressor's maps go by corrected values."""
+
+_POSSIBLE = -0.5, 1.5  # 0 to 1, and what errors of maps add
+
+WEATHER = ("p_cmap", "T_cmap")
+"""Engine parameters that say which weather its maps are of."""
+
+
+@dataclass(frozen=True)
+class Exponent:
+    """What recordings in different weather say of an exponent: value and standard deviation [-]."""
+
+    value: float
+    std: float
+
+
+def of_own_weather(
+    engine: EngineParameters, recordings: Sequence[Recording], known: Mapping[str, Exponent] | None = None
+) -> EngineParameters:
+    """An engine whose compressor's maps are of the mean weather of some recordings.
+
+    What an engine file says of the exponents stays, but for 0, which every engine has of which nobody said anything.
+
+    Args:
+        engine: before anything is learned.
+        recordings: that it is learned from.
+        known: exponents that these show, by name.
+    """
+    weights = np.array([item.running_s for item in recordings])
+    p_amb, t_amb = (
+        float(np.average([getattr(item, name) for item in recordings], weights=weights))
+        for name in ("p_amb_pa", "t_amb_k")
+    )
+    values = {name: item.value for name, item in (known or {}).items()}
+    open_ones = {name: values.get(name, UNDECIDED) for name in EXPONENTS if getattr(engine, name) == 0.0}
+    return engine.replace(p_cmap=p_amb, T_cmap=t_amb, **open_ones)
+
+
+def as_sure_as_the_weather(
+    exponents: Mapping[str, Exponent], recordings: Sequence[Recording], engine: EngineParameters,
+    beliefs: CircumstanceSettings,
+) -> dict[str, Exponent]:  # fmt: skip
+    """Exponents known no better than the sensors of the weather let them be, of those of which that leaves anything.
+
+    A barometer that is 0.3 kPa off on one of several days is 0.3 % of the compressor's flow: as much as corrected speed
+    is, in place of speed, with 3 K between the days.
+
+    Args:
+        exponents: by name; recordings: that show them; engine: of their weather (`of_own_weather`).
+        beliefs: how far a reading of the weather may be off, and how far what no column gives.
+    """
+    read = [name in item.columns for item in recordings for name in ("p_amb_pa", "t_amb_k")]
+    p_std, t_std = (beliefs.p_amb_read_pa, beliefs.t_amb_read_k) if all(read) else (beliefs.p_amb_pa, beliefs.t_amb_k)
+    error = np.hypot(p_std / engine.p_cmap, 0.5 * t_std / engine.T_cmap)
+    warmer = 0.5 * np.log([item.t_amb_k / engine.T_cmap for item in recordings])
+    more = {"k_cflow": warmer - np.log([item.p_amb_pa / engine.p_cmap for item in recordings]), "k_cspeed": warmer}
+    found = {}
+    for name, item in exponents.items():
+        std = float(np.hypot(item.std, error / np.sqrt(np.mean(more[name] ** 2))))
+        if std < getattr(beliefs, name):
+            found[name] = Exponent(float(np.clip(item.value, *_POSSIBLE)), std)
+    return found
+
+
+def beside_exponents(beliefs: CircumstanceSettings, exponents: Mapping[str, Exponent]) -> CircumstanceSettings:
+    """What is believed of a recording's circumstances, beside exponents that are known."""
+    return beliefs.model_copy(update={name: item.std for name, item in exponents.items()})
+
+
+def exponent_words(exponents: Mapping[str, Exponent]) -> list[str]:
+    """What recordings in different weather show of the compressor, as lines of text."""
+    of = {"k_cflow": ("efficiency", "flow"), "k_cspeed": ("flow", "speed")}
+    return [
+        f"  the compressor's {of[name][0]} follows corrected {of[name][1]} by {100.0 * item.value:.0f} ± "
+        f"{100.0 * item.std:.2g} % (0 % is the published model), as recordings in different weather show"
+        for name, item in exponents.items()
+    ]
