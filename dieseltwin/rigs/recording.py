@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -82,6 +82,24 @@ def read_rig(source: str | Path | pd.DataFrame | Imported, rig: RigParameters) -
     readings = {name: columns[name][:n : rig.every] for name in rig.readings
                 if name in columns and np.isfinite(columns[name][:n : rig.every]).any()}  # fmt: skip
     return RigRecording(time_s, inputs, readings, where, digest, (*notes, *coded))
+
+
+def moving(recording: RigRecording) -> RigRecording:
+    """The recording with the readings that move; one that stands still is no reading, or tells nothing of a machine.
+
+    Raises:
+        InputError: none of them moves.
+    """
+    still = {name: float(np.nanmax(values)) for name, values in recording.readings.items()
+             if np.nanmin(values) == np.nanmax(values)}  # fmt: skip
+    if still and len(still) == len(recording.readings):
+        name, value = next(iter(still.items()))
+        raise InputError(f"{recording.path}: column {name}", f"{value:g} in every row", "a reading that moves",
+                         "check that the sensor was connected and its channel exported, or record the machine moving")
+    notes = [Note(f"{name} is {value:g} in every row: such a reading tells nothing of the machine, and counts as missing",
+                  "frozen_channel", (name,)) for name, value in still.items()]  # fmt: skip
+    kept = {name: values for name, values in recording.readings.items() if name not in still}
+    return replace(recording, readings=kept, notes=(*recording.notes, *notes))
 
 
 def _refuse_short_runs(rig: RigParameters, time_s: Array) -> None:

@@ -25,12 +25,12 @@ RIGS = Path(__file__).resolve().parents[2] / "examples" / "rigs"
 
 BALANCE = {"formula": "q - (k + leak)*h", "unit": "m/s", "site": "tank", "relative": False, "ports": ["h"]}
 LEAK = {"site": "tank", "law": "c h lost", "unit": "1/s", "tolerance": 0.01, "limits": [0.0, 1.0]}
+TANK_PARAMETERS = {"k": {"value": 0.5, "prior_std": 0.5, "scale": 0.05, "unit": "1/s"}}
 TANK: dict[str, Any] = {
     "kind": "rig", "name": "tank", "states": {"h": {"scale": 1.0, "unit": "m", "nearest": "level"}},
     "inputs": {"q": "m/s"},
-    "parameters": {"k": {"value": 0.5, "prior_std": 0.5, "scale": 0.05, "unit": "1/s"}},
-    "quantities": {"balance": BALANCE}, "rates": {"h": "balance"}, "readings": {"level": "h"}, "sub_steps": 4,
-    "effects": {"leak": LEAK},
+    "parameters": TANK_PARAMETERS, "quantities": {"balance": BALANCE}, "rates": {"h": "balance"},
+    "readings": {"level": "h"}, "sub_steps": 4, "effects": {"leak": LEAK},
 }  # fmt: skip
 
 
@@ -99,7 +99,13 @@ def test_a_name_is_a_plain_identifier(name: str, tank: RigParameters) -> None:
         ({"floors": {"levle": 0.1}}, "floors: unknown name 'levle'; did you mean level?"),
         ({"quantities": {"balance": {**BALANCE, "ports": ["height"]}}}, "ports of balance: unknown name 'height'"),
         ({"quantities": {"balance": {**BALANCE, "ports": ["k"]}}}, "ports of balance: unknown name 'k'; known: h, q"),
-        ({"quantities": {"balance": {**BALANCE, "formula": "q - k*h"}}}, "effect leak: in no formula"),
+        ({"quantities": {"balance": {**BALANCE, "formula": "q - k*h"}}}, "effect leak: in no rate and no reading"),
+        ({"parameters": {**TANK_PARAMETERS, "c": {"value": 1.0, "prior_std": 1.0, "scale": 0.1}}},
+         "parameter c: in no rate and no reading, so that no recording could tell it"),
+        ({"parameters": {**TANK_PARAMETERS, "c": {"value": 1.0, "prior_std": 1.0, "scale": 0.1}},
+          "quantities": {"idle": {"formula": "c*h"}, "balance": BALANCE}}, "parameter c: in no rate and no reading"),
+        ({"quantities": {"idle": {"formula": "q", "site": "inlet"}, "balance": BALANCE}},
+         "quantity idle: in no rate and no reading, so that nothing could be missing there"),
         ({"effects": {"leak": {**LEAK, "limits": [1.0, 0.0]}}}, "effect leak: limits 1 to 0; the lower first"),
         ({"effects": {"leak": {**LEAK, "limits": [0.1, 1.0]}}}, "effect leak: limits 0.1 to 1; "),
         ({"effects": {"leak": {**LEAK, "sizes": [0.1, 2.0]}}}, "effect leak: sizes 0.1, 2 beyond its limits"),
@@ -208,8 +214,8 @@ def test_windows_that_start_anew_at_every_sample_are_refused(key: str, tank: Rig
 @pytest.mark.parametrize("change", [{"value": 0.0}, {"value": 1e6, "prior_std": 1e3}])
 def test_a_file_whose_rates_have_no_value_is_one_line(change: dict[str, float]) -> None:
     """An inertia of nought, a resistance in milliohms: these were tracebacks."""
-    stiff = {"k": {**TANK["parameters"]["k"], **change}, "area": {"value": 1.0, "prior_std": 0.1, "scale": 0.1}}
-    rate = "balance/k" if not change["value"] else "balance/area"
+    stiff = {"k": {**TANK["parameters"]["k"], **change}}
+    rate = "balance/k" if not change["value"] else "balance"
     rig = RigParameters.model_validate({**TANK, "parameters": stiff, "rates": {"h": rate}})
     with pytest.raises(InputError, match=r"no fit of tank that stays finite.*check values and units"):
         dt.discover(emptying(0.5), rig)
