@@ -225,9 +225,8 @@ class PointsDiscovered(Discovered):
         said = self.document
         since = [f"{name} {now.since_reference.text}" for name, now in said.health.items()
                  if now.since_reference is not None]
-        said_of = [f"since the reference: {', '.join(since)}"] if since else []
-        said_of += [*(f"note: {doubt.text}" for doubt in said.warnings), *unseen(said)]
-        return [*tried, "", self.sentence, *said_of]
+        health = [f"since the reference: {', '.join(since)}"] if since else []
+        return [*tried, "", self.sentence, *health, *(f"note: {doubt.text}" for doubt in said.warnings), *unseen(said)]
 
 
 @dataclass(frozen=True)

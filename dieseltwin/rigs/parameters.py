@@ -165,11 +165,12 @@ class RigParameters(StrictModel):
 
     @model_validator(mode="after")
     def _findable(self) -> RigParameters:
-        """Every effect acts on what is simulated, and may be absent; every parameter and every place acts on it, too."""
+        """Every effect, parameter and place acts on what is simulated; an effect may be absent."""
         used = self._acting()
         for name in self.parameters:
             if name not in used:
-                raise ValueError(f"parameter {name}: {_NOWHERE}, so that no recording could tell it; use it, or drop it")
+                raise ValueError(f"parameter {name}: {_NOWHERE}, so that no recording could tell it; use it, or "
+                                 "drop it")
         for name, quantity in self.quantities.items():
             if quantity.site is not None and name not in used:
                 raise ValueError(f"quantity {name}: {_NOWHERE}, so that nothing could be missing there; use it, or "

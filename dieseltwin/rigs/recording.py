@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -84,22 +84,17 @@ def read_rig(source: str | Path | pd.DataFrame | Imported, rig: RigParameters) -
     return RigRecording(time_s, inputs, readings, where, digest, (*notes, *coded))
 
 
-def moving(recording: RigRecording) -> RigRecording:
-    """The recording with the readings that move; one that stands still is no reading, or tells nothing of a machine.
+def refuse_still(recording: RigRecording, rig: RigParameters) -> None:
+    """A reading that stands still tells nothing: every machine that doesn't move fits it.
 
     Raises:
-        InputError: none of them moves.
+        InputError: a reading with one and the same value in every row.
     """
-    still = {name: float(np.nanmax(values)) for name, values in recording.readings.items()
-             if np.nanmin(values) == np.nanmax(values)}  # fmt: skip
-    if still and len(still) == len(recording.readings):
-        name, value = next(iter(still.items()))
-        raise InputError(f"{recording.path}: column {name}", f"{value:g} in every row", "a reading that moves",
-                         "check that the sensor was connected and its channel exported, or record the machine moving")
-    notes = [Note(f"{name} is {value:g} in every row: such a reading tells nothing of the machine, and counts as missing",
-                  "frozen_channel", (name,)) for name, value in still.items()]  # fmt: skip
-    kept = {name: values for name, values in recording.readings.items() if name not in still}
-    return replace(recording, readings=kept, notes=(*recording.notes, *notes))
+    for name, values in recording.readings.items():
+        if np.nanmin(values) == np.nanmax(values):
+            raise InputError(f"{recording.path}: column {name}", f"{np.nanmax(values):g} in every row",
+                             "a reading that moves", "check that its sensor was connected, record the machine moving, "
+                             f"or leave this reading out of the file of {rig.name}")  # fmt: skip
 
 
 def _refuse_short_runs(rig: RigParameters, time_s: Array) -> None:
