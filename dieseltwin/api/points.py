@@ -34,6 +34,7 @@ from dieseltwin.calibration.saved import (
     write_calibration,
     write_repaired,
 )
+from dieseltwin.calibration.told_apart import unseen
 from dieseltwin.calibration.verdict import details, document
 from dieseltwin.discovery.verdict.document import Discrepancy
 from dieseltwin.engine import EngineParameters
@@ -225,7 +226,7 @@ class PointsDiscovered(Discovered):
         since = [f"{name} {now.since_reference.text}" for name, now in said.health.items()
                  if now.since_reference is not None]
         health = [f"since the reference: {', '.join(since)}"] if since else []
-        return [*tried, "", self.sentence, *health, *(f"note: {doubt.text}" for doubt in said.warnings)]
+        return [*tried, "", self.sentence, *health, *(f"note: {doubt.text}" for doubt in said.warnings), *unseen(said)]
 
 
 @dataclass(frozen=True)
@@ -265,9 +266,8 @@ class PointsQuestion(Question):
 
     def answer(self) -> PointsDiscovered:
         began = time.perf_counter()
-        where = str(self.points.path or "points")
-        first = calibrated(self.points, self.base, self.geometry, seed=self.seed, where=where,
-                           believed=self.options.search)
+        first = calibrated(self.points, self.base, self.geometry, seed=self.seed,
+                           where=str(self.points.path or "points"), believed=self.options.search)
         found = discover_points(first, self.options)
         return PointsDiscovered(found, self.asked, time.perf_counter() - began)
 

@@ -22,7 +22,7 @@ from dieseltwin.recordings.named_columns import Imported, import_columns
 from dieseltwin.recordings.reader import Recording, read_recording
 from dieseltwin.recordings.steady_points import SteadyPoints, read_points
 from dieseltwin.rigs.parameters import RigParameters
-from dieseltwin.rigs.recording import RigRecording, read_rig
+from dieseltwin.rigs.recording import RigRecording, read_rig, refuse_still
 from dieseltwin.settings.extras import require
 from dieseltwin.settings.names import listed, refuse_options
 from dieseltwin.symbols import BY_COLUMN
@@ -190,7 +190,7 @@ def rig_recording(source: object, rig: RigParameters, *, all_readings: bool = Fa
 
     Args:
         source: a file, a table or what `read` gave.
-        all_readings: every reading that the rig's file names must be there.
+        all_readings: every reading that the rig's file names must be there, and move.
 
     Raises:
         InputError: what can't be used.
@@ -203,6 +203,8 @@ def rig_recording(source: object, rig: RigParameters, *, all_readings: bool = Fa
     if all_readings and missing:
         raise InputError(f"{found.path}: column {missing[0]}", "none, or no number in it",
                          f"every reading of {rig.name}", "add it")
+    if all_readings:
+        refuse_still(found, rig)
     return found
 
 

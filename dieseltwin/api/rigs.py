@@ -22,7 +22,7 @@ from dieseltwin.discovery.verdict.explain import Known, answers
 from dieseltwin.errors import InputError
 from dieseltwin.notes import READING, Note
 from dieseltwin.rigs.discover import Options, RigDiscovery, discover_rig
-from dieseltwin.rigs.fitting import fitted
+from dieseltwin.rigs.fitting import fitted_surely
 from dieseltwin.rigs.parameters import RigParameters, save_rig
 from dieseltwin.rigs.recording import RigRecording
 from dieseltwin.rigs.simulate import run_error, simulate_rig
@@ -216,6 +216,6 @@ def identify_rig(recording: Source | RigRecording, rig: RigParameters) -> RigIde
     """
     began = time.perf_counter()
     source = rig_recording(recording, rig, all_readings=True)
-    found = fitted(rig, source)[0]
+    found = fitted_surely(rig, source)[0]
     off = dict(zip(rig.readings, map(float, run_error(found, source)), strict=True))
     return RigIdentified(found, source, time.perf_counter() - began, off, source.notes)

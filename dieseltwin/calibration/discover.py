@@ -17,26 +17,23 @@ import numpy as np
 from dieseltwin.calibration.believable import unbelievable
 from dieseltwin.calibration.calibrate import Calibration, Fit, counted_rows, submodel_fits
 from dieseltwin.calibration.coefficients import (
-    BELIEFS,
     FLAP_COEFFICIENTS,
     Coefficient,
     effect_coefficients,
     with_scalars,
     worn,
 )
+from dieseltwin.calibration.formulations import formulations
 from dieseltwin.calibration.held_out import Foretold, foretold
 from dieseltwin.calibration.lasting_errors import map_corrections
-from dieseltwin.calibration.likelihood import Estimate, estimate
+from dieseltwin.calibration.likelihood import FULL_ITERATIONS, Estimate, estimate
 from dieseltwin.calibration.onsets import Onset, onset_of
 from dieseltwin.calibration.own_pipes import BACK_PRESSURE, beside_own_pipes
 from dieseltwin.calibration.reference_engine import about_reference, told_by_reference
-from dieseltwin.calibration.rough_maps import rough_enough
+from dieseltwin.calibration.rough_maps import Rough, wider
 from dieseltwin.calibration.scatter import Scatter, scatter_of
 from dieseltwin.calibration.steady_model import (
     CHARGE_OFFSET,
-    COOLED_CHARGE,
-    COOLED_EGR,
-    WORK_ROW,
     SteadyModel,
     term_values,
 )
@@ -55,9 +52,8 @@ from dieseltwin.engine.parameters import EngineParameters
 from dieseltwin.engine.terms import OneTerm, SensorTerm, Term, corrections_in, law_terms, with_corrections
 from dieseltwin.recordings.steady_points import SINCE, STATES, SteadyPoints
 from dieseltwin.settings.defaults import default_search
-from dieseltwin.settings.search import PointSettings, SubmodelErrors
+from dieseltwin.settings.search import PointSettings
 
-FULL_ITERATIONS = 20
 _SIGNIFICANT = 2.0  # standard deviations
 
 
@@ -123,7 +119,8 @@ class PointsDiscovery:
         seconds: wall time.
         before_law: `repaired` as it was before the law, where there is one.
         beside_pipes: back pressure where the engine has usual pipes of its own [Pa/(kg/s)^2], where that was found.
-        rough: how many times the believed errors of maps explain what has no name [-], where some do.
+        rough: what has no name by wider beliefs of the maps, where there is something and no reference.
+        rough_named: likewise of the first name that acts in all points, by that name.
     """
 
     calibration: Calibration
@@ -142,7 +139,8 @@ class PointsDiscovery:
     seconds: float
     before_law: Calibration | None = None
     beside_pipes: float | None = None
-    rough: float | None = None
+    rough: Rough | None = None
+    rough_named: Mapping[str, Rough] = field(default_factory=dict)
 
     @property
     def mismatch(self) -> bool:
@@ -213,6 +211,7 @@ def discover_points(calibration: Calibration, options: Options | None = None) ->
     here = calibration
     first = best = foretold(here, free)
     rounds: list[Round] = []
+    twins: list[SteadyTwin] = []
     names: list[str] = []
     faded: set[str] = set()
     told = told_by_reference(calibration)
@@ -227,6 +226,7 @@ def discover_points(calibration: Calibration, options: Options | None = None) ->
             found.names_for_round(misfit, options.search.least_explained, refused=True)
         if not added or len(names) + len(added) > options.search.most_effects:
             rounds.append(Round(found, (), best.nll, False))
+            twins.append(twin)
             break
         more = [c for name in added for c in effect_coefficients(name, hypotheses[name], options.search.flap_spread)]
         if onset is not None:
@@ -239,6 +239,7 @@ def discover_points(calibration: Calibration, options: Options | None = None) ->
         with_it = foretold(candidate, [*free, *more])
         taken = with_it.better_than(best)
         rounds.append(Round(found, added, with_it.nll, taken, onset))
+        twins.append(twin)
         if not taken:
             break
         here, best = candidate, with_it
@@ -271,10 +272,21 @@ def discover_points(calibration: Calibration, options: Options | None = None) ->
         calibration, here, tuple(rounds), {name: (values[name], std[name]) for name in names}, first.nll,
         best.nll, submodel_fits(calibration.model, points, mask, first.trained, calibration.estimate.discrepancy),
         submodel_fits(here.model, here.points, mask, best.trained, here.estimate.discrepancy),
-        law, terms, scatter, options, _formulations(here, free, options.search.submodels), time.perf_counter() - clock,
+        law, terms, scatter, options, formulations(here, free, options.search.submodels), time.perf_counter() - clock,
         before_law, beside_pipes,
-        rough_enough(last.found, twin) if more_is_missing and not told else None,
+        wider(last.found, twin) if more_is_missing and not told else None,
+        {} if told else _named_by_wider(rounds, twins, names),
     )  # fmt: skip
+
+
+def _named_by_wider(rounds: Sequence[Round], twins: Sequence[SteadyTwin], names: Sequence[str]) -> dict[str, Rough]:
+    """The first name that is left and acts in all points, by wider beliefs of the maps; what begins in the middle of
+    the points is no error of a map."""
+    for item, twin in zip(rounds, twins, strict=True):
+        kept = [name for name in item.names if name in names]
+        if item.taken and item.onset is None and kept:
+            return {kept[0]: wider(item.found, twin)}
+    return {}
 
 
 def _acting(points: SteadyPoints, onset: Onset, effect: Hypothesis) -> SteadyPoints:
@@ -358,32 +370,3 @@ def _with_law(here: Calibration, free: list[Coefficient], terms: tuple[OneTerm, 
     own = term_values(terms)
     start = {name: here.start.get(name, 0.0) + value for name, value in own.items()}
     return _refitted(replace(here, model=model), free, start)
-
-
-FORMULATIONS: Mapping[str, tuple[frozenset[str], frozenset[str]]] = {
-    "coolers and wheel": (frozenset({COOLED_CHARGE, COOLED_EGR, WORK_ROW}), frozenset()),
-    "coolers, efficiencies as believed": (frozenset({COOLED_CHARGE, COOLED_EGR}), frozenset({"work_0", "work_slope"})),
-    "coolers and wheel, pipes as found": (
-        frozenset({COOLED_CHARGE, COOLED_EGR, WORK_ROW}), frozenset({"back_pressure", "air_filter_restriction"})),
-    "charge at a constant temperature, wheel": (
-        frozenset({WORK_ROW}),
-        frozenset({"charge_cooler_loss", "cooler_approach", "egr_heating", "egr_coolant", "vol_heating"})),
-}  # fmt: skip
-"""Ways to think of what settled points don't see: what is switched on, and which beliefs are left out."""
-
-
-def _formulations(
-    here: Calibration, free: list[Coefficient], errors: SubmodelErrors
-) -> dict[str, tuple[SteadyModel, Estimate]]:
-    """Every formulation of the unmeasured places, fitted to all points; what was found keeps no belief."""
-    known = {c.name for c in free}
-    out = {}
-    for name, (active, without) in FORMULATIONS.items():
-        beliefs = [c for c in BELIEFS if c.name not in known | without]
-        model = replace(here.model, active=active, lasting=frozenset(c.name for c in beliefs))
-        every = [*free, *beliefs]
-        floors = {row: errors.error(row) for row in model.rows}
-        start = {**{c.name: c.mean for c in beliefs}, **here.start}
-        out[name] = (model, estimate(model, here.points, every, start, iterations=FULL_ITERATIONS, inflate=True,
-                                     floors=floors, rows=counted_rows(model, every)))
-    return out

@@ -21,6 +21,13 @@ from dieseltwin.settings.search import PointSettings
 EXHAUST = "T_em"
 """Insertion point of the exhaust temperature, whose formula errs smoothly over engine speed and injected quantity."""
 
+TOLERANCE_OVER: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    EXHAUST: (("n_e", "u_delta"), ()), "f_egr": (("u_egr",), ("Pi_egr",)),
+}  # fmt: skip
+"""Insertion point -> variables over which its error is smooth at settled points (two ways of thinking of it), where
+they are others than a map's in a recording: the exhaust's temperature is no map there, and the EGR flow's factor over
+the pressure ratio is a parabola (A.9) in place of a nozzle, which a mean over points at all ratios shows."""
+
 _KEPT = 0.95  # of the variance; the rest is below what differs from point to point
 _TOLD = 1e-4  # of a correction that is not worth a larger coefficient [-]
 _MOST = 5.0  # standard deviations

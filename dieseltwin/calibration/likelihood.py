@@ -41,6 +41,7 @@ CURVATURE = 1.0  # second-order error of a relation over the square of the noise
 LARGEST_SHIFT = 0.3  # of ln x in one iteration
 ROBUST = 2.0  # whitened residuals beyond this count ever less
 FLOOR = 0.003  # a submodel is never believed better than this [-]; `floors` of a call can say more
+FULL_ITERATIONS = 20  # of a fit of all coefficients
 FIRST_STEPS, MORE_STEPS = 14, 8  # of the inner minimiser
 DEGREES = 4.0  # of Student's t
 FAR = 3.0  # of a balance's logarithm, where it is cut

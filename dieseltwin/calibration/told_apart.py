@@ -9,8 +9,10 @@ import numpy as np
 from dieseltwin.calibration.discover import PointsDiscovery, Round
 from dieseltwin.calibration.steady_model import CHARGE_OFFSET
 from dieseltwin.discovery.likelihood.fit import Fit
+from dieseltwin.discovery.verdict.document import Discrepancy
+from dieseltwin.discovery.verdict.unseen import most_first
 from dieseltwin.engine.effects import EFFECTS
-from dieseltwin.notes import Note
+from dieseltwin.notes import Note, listing
 
 _APART = {
     "t_c_k": {"compressor_efficiency_loss", "turbine_efficiency_loss"},
@@ -18,6 +20,9 @@ _APART = {
     "p_es_pa": {"back_pressure", "vgt_offset"}, "p_bc_pa": {"air_filter_restriction", "compressor_flow_loss"},
 }  # fmt: skip
 """Reading -> names that it tells from one another."""
+
+_UNSEEN = 3.0  # tolerances: what shows below is seen where it matters
+_MOVES = 0.005  # of health per tolerance: half of what a health parameter may be off by after a repair
 
 
 def fits_of(item: Round) -> list[Fit]:
@@ -73,3 +78,21 @@ def _charge_may_be_a_gain(result: PointsDiscovery, item: Round) -> bool:
     apart = result.effects[CHARGE_OFFSET][0] * (read / read.mean() - 1.0) / read
     deviation = float(result.repaired.estimate.discrepancy[row])
     return bool(np.sum((apart / deviation) ** 2) < item.found.settings.equivalent_gain)
+
+
+def unseen(found: Discrepancy) -> list[str]:
+    """A line of effects that health takes up long before the points show them, with how far it would move until then;
+    none beside a reference. An exhaust temperature that reads some per cent too much is a better cycle."""
+    named = {effect.name for effect in found.effects}
+    told = []
+    for name, size in found.minimum_detectable.items():
+        effect, bias = EFFECTS[name], most_first(found.health_bias, name)
+        slope = abs(bias[0][1]) * effect.tolerance / size if bias and size > _UNSEEN * effect.tolerance else 0.0
+        if slope > _MOVES and name not in named:
+            moved, change = bias[0]
+            seen = f"{size:.2g} {effect.unit}".removesuffix(" -")
+            told.append((-slope, f"{name} below {seen} ({moved} {100 * change:+.2g} %)"))
+    return [] if found.reference or not told else [
+        "not seen in all points alike, as health takes it up (by so much at the size that would show): "
+        f"{listing([text for _, text in sorted(told)])}; points from when the engine was well (--reference) tell"
+    ]

@@ -11,7 +11,7 @@ from dieseltwin.calibration.calibrate import Calibration
 from dieseltwin.calibration.coefficients import WEAR, worn
 from dieseltwin.calibration.discover import PointsDiscovery, Round
 from dieseltwin.calibration.likelihood import balance_deviation
-from dieseltwin.calibration.rough_maps import rough_maps_note
+from dieseltwin.calibration.rough_maps import rough_maps_notes
 from dieseltwin.calibration.scatter import Scatter
 from dieseltwin.calibration.steady_model import ROWS
 from dieseltwin.calibration.told_apart import equivalent, fits_of, sensor_notes, split_by
@@ -183,9 +183,8 @@ def document(result: PointsDiscovery) -> Discrepancy:
         provenance=Provenance(code_version=__version__, params_sha256=result.options.sha256),
     )  # fmt: skip
     doubts = [*doubts_among(result.calibration.notes), *fit_doubts(made), *_law_notes(result, health),
-              *_pipe_notes(result), *sensor_notes(result)]  # fmt: skip
-    if result.rough is not None:
-        doubts.append(rough_maps_note(result.rough, result.options.search))
+              *_pipe_notes(result), *sensor_notes(result),
+              *rough_maps_notes(result.rough, result.rough_named, result.options.search)]  # fmt: skip
     return with_warnings(made, doubts)
 
 

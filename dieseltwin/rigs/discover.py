@@ -26,7 +26,7 @@ from dieseltwin.discovery.search.preparation import recentred
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.errors import InputError
-from dieseltwin.rigs.fitting import ROUNDS, checked_rows, fitted, fitted_otherwise, foretold
+from dieseltwin.rigs.fitting import ROUNDS, checked_rows, fitted, fitted_otherwise, fitted_surely, foretold
 from dieseltwin.rigs.onsets import dated, first_course
 from dieseltwin.rigs.parameters import LawFactor, RigLaw, RigParameters, RigTerm
 from dieseltwin.rigs.recording import RigRecording
@@ -160,15 +160,7 @@ def discover_rig(recording: RigRecording, rig: RigParameters, options: Options |
     if not _left(rig, options):
         raise InputError(f"{rig.name}: effects", "none to look for", "one or more that may be missing",
                          "name them in the file, or withhold fewer")  # fmt: skip
-    try:
-        with np.errstate(all="ignore"):  # a machine that runs away: refused behind
-            before, fit = fitted(rig, recording)
-        if not np.isfinite(fit.jacobian).all():
-            raise np.linalg.LinAlgError
-    except np.linalg.LinAlgError:
-        raise InputError(recording.path, f"no fit of {rig.name} that stays finite", "a recording of this machine",
-                         "check values and units of columns and of the file, give more sub_steps, or shorten "
-                         "window_s") from None
+    before, fit = fitted_surely(rig, recording)
     found, midway = _searched(before, fit.residual, recording, options), first_course(fit, settings, options.withhold)
     course = _best_course(before, fit, recording, options, found, midway)
     otherwise = fitted_otherwise(before, recording)

@@ -9,6 +9,7 @@ import numpy as np
 from dieseltwin.discovery.likelihood.fit import Linearisation, first_fit, fit_fully
 from dieseltwin.discovery.likelihood.metric import Metric, covariance_of, std_of
 from dieseltwin.discovery.twins.interface import Array
+from dieseltwin.errors import InputError
 from dieseltwin.rigs.parameters import RigParameters
 from dieseltwin.rigs.recording import RigRecording
 from dieseltwin.rigs.simulate import first_states, run_error
@@ -33,6 +34,23 @@ def fitted(rig: RigParameters, recording: RigRecording) -> tuple[RigParameters, 
     terms = tuple(t.model_copy(update={"magnitude": float(np.clip(m, *rig.effects[t.effect].limits)), "std": float(s)})
                   for t, m, s in zip(rig.terms, *sizes, strict=True))
     return rig.model_copy(update={"parameters": parameters, "terms": terms}), at
+
+
+def fitted_surely(rig: RigParameters, recording: RigRecording) -> tuple[RigParameters, Linearisation]:
+    """`fitted`, for a machine and a recording that nobody has looked at.
+
+    Raises:
+        InputError: no fit stays finite.
+    """
+    try:
+        with np.errstate(all="ignore"):  # a machine that runs away: refused below
+            found, fit = fitted(rig, recording)
+        if np.isfinite(fit.jacobian).all():
+            return found, fit
+    except np.linalg.LinAlgError:
+        pass
+    raise InputError(recording.path, f"no fit of {rig.name} that stays finite", "a recording of this machine",
+                     "check values and units of columns and of the file, give more sub_steps, or shorten window_s")
 
 
 def fitted_otherwise(rig: RigParameters, recording: RigRecording) -> Linearisation | None:

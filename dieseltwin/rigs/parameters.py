@@ -165,12 +165,19 @@ class RigParameters(StrictModel):
 
     @model_validator(mode="after")
     def _findable(self) -> RigParameters:
-        """Every effect is in a formula, and may be absent."""
-        formulae = [*(q.formula for q in self.quantities.values()), *self.rates.values(), *self.readings.values()]
-        used = {name for formula in formulae for name in names_in(formula)}
+        """Every effect, parameter and place acts on what is simulated; an effect may be absent."""
+        used = self._acting()
+        for name in self.parameters:
+            if name not in used:
+                raise ValueError(f"parameter {name}: {_NOWHERE}, so that no recording could tell it; use it, or "
+                                 "drop it")
+        for name, quantity in self.quantities.items():
+            if quantity.site is not None and name not in used:
+                raise ValueError(f"quantity {name}: {_NOWHERE}, so that nothing could be missing there; use it, or "
+                                 "drop its site")
         for name, effect in self.effects.items():
             if name not in used:
-                raise ValueError(f"effect {name}: in no formula, so that it could never be found")
+                raise ValueError(f"effect {name}: {_NOWHERE}, so that it could never be found")
             low, high = effect.limits
             if not low <= 0.0 <= high or low == high:
                 raise ValueError(f"effect {name}: limits {low:g} to {high:g}; the lower first, and 0, absent, in them")
@@ -183,6 +190,17 @@ class RigParameters(StrictModel):
             if not all(low <= size <= high for size in effect.sizes):
                 raise ValueError(f"effect {name}: sizes {listed([f'{s:g}' for s in effect.sizes])} beyond its limits")
         return self
+
+    def _acting(self) -> set[str]:
+        """Names that a rate or a reading depends on, through quantities or by itself."""
+        used = {name for formula in (*self.rates.values(), *self.readings.values()) for name in names_in(formula)}
+        for name in reversed(self.quantities):  # each holds earlier ones only
+            if name in used:
+                used |= set(names_in(self.quantities[name].formula))
+        return used
+
+
+_NOWHERE = "in no rate and no reading"
 
 
 def _names(where: str, formula: str) -> tuple[str, ...]:

@@ -84,6 +84,19 @@ def read_rig(source: str | Path | pd.DataFrame | Imported, rig: RigParameters) -
     return RigRecording(time_s, inputs, readings, where, digest, (*notes, *coded))
 
 
+def refuse_still(recording: RigRecording, rig: RigParameters) -> None:
+    """A reading that stands still tells nothing: every machine that doesn't move fits it.
+
+    Raises:
+        InputError: a reading with one and the same value in every row.
+    """
+    for name, values in recording.readings.items():
+        if np.nanmin(values) == np.nanmax(values):
+            raise InputError(f"{recording.path}: column {name}", f"{np.nanmax(values):g} in every row",
+                             "a reading that moves", "check that its sensor was connected, record the machine moving, "
+                             f"or leave this reading out of the file of {rig.name}")  # fmt: skip
+
+
 def _refuse_short_runs(rig: RigParameters, time_s: Array) -> None:
     """Windows and runs whose states start anew at nearly every sample explain anything and say nothing."""
     step = float(np.median(np.diff(time_s)))

@@ -304,6 +304,7 @@ def details(result: RigDiscovery, asked: Mapping[str, Any]) -> dict[str, Any]:
     return plain({  # type: ignore[no-any-return]
         "recording_sha256": result.recording.sha256, "options": dict(asked), "notes": [], "laws": [],
         **details_of_search(first, rows, first.best),
+        "minimum_detectable": finite_only(minimum_detectable(first.scored, first.settings.alarm_gain)),
         "rounds": [
             {"names": list(item.names), "law": None if item.law is None else item.law.text, "taken": item.taken,
              **({} if item.when is None else {key: at for key, at in vars(item.when).items() if at is not None}),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -25,12 +26,12 @@ RIGS = Path(__file__).resolve().parents[2] / "examples" / "rigs"
 
 BALANCE = {"formula": "q - (k + leak)*h", "unit": "m/s", "site": "tank", "relative": False, "ports": ["h"]}
 LEAK = {"site": "tank", "law": "c h lost", "unit": "1/s", "tolerance": 0.01, "limits": [0.0, 1.0]}
+TANK_PARAMETERS = {"k": {"value": 0.5, "prior_std": 0.5, "scale": 0.05, "unit": "1/s"}}
 TANK: dict[str, Any] = {
     "kind": "rig", "name": "tank", "states": {"h": {"scale": 1.0, "unit": "m", "nearest": "level"}},
     "inputs": {"q": "m/s"},
-    "parameters": {"k": {"value": 0.5, "prior_std": 0.5, "scale": 0.05, "unit": "1/s"}},
-    "quantities": {"balance": BALANCE}, "rates": {"h": "balance"}, "readings": {"level": "h"}, "sub_steps": 4,
-    "effects": {"leak": LEAK},
+    "parameters": TANK_PARAMETERS, "quantities": {"balance": BALANCE}, "rates": {"h": "balance"},
+    "readings": {"level": "h"}, "sub_steps": 4, "effects": {"leak": LEAK},
 }  # fmt: skip
 
 
@@ -99,7 +100,13 @@ def test_a_name_is_a_plain_identifier(name: str, tank: RigParameters) -> None:
         ({"floors": {"levle": 0.1}}, "floors: unknown name 'levle'; did you mean level?"),
         ({"quantities": {"balance": {**BALANCE, "ports": ["height"]}}}, "ports of balance: unknown name 'height'"),
         ({"quantities": {"balance": {**BALANCE, "ports": ["k"]}}}, "ports of balance: unknown name 'k'; known: h, q"),
-        ({"quantities": {"balance": {**BALANCE, "formula": "q - k*h"}}}, "effect leak: in no formula"),
+        ({"quantities": {"balance": {**BALANCE, "formula": "q - k*h"}}}, "effect leak: in no rate and no reading"),
+        ({"parameters": {**TANK_PARAMETERS, "c": {"value": 1.0, "prior_std": 1.0, "scale": 0.1}}},
+         "parameter c: in no rate and no reading, so that no recording could tell it"),
+        ({"parameters": {**TANK_PARAMETERS, "c": {"value": 1.0, "prior_std": 1.0, "scale": 0.1}},
+          "quantities": {"idle": {"formula": "c*h"}, "balance": BALANCE}}, "parameter c: in no rate and no reading"),
+        ({"quantities": {"idle": {"formula": "q", "site": "inlet"}, "balance": BALANCE}},
+         "quantity idle: in no rate and no reading, so that nothing could be missing there"),
         ({"effects": {"leak": {**LEAK, "limits": [1.0, 0.0]}}}, "effect leak: limits 1 to 0; the lower first"),
         ({"effects": {"leak": {**LEAK, "limits": [0.1, 1.0]}}}, "effect leak: limits 0.1 to 1; "),
         ({"effects": {"leak": {**LEAK, "sizes": [0.1, 2.0]}}}, "effect leak: sizes 0.1, 2 beyond its limits"),
@@ -208,8 +215,8 @@ def test_windows_that_start_anew_at_every_sample_are_refused(key: str, tank: Rig
 @pytest.mark.parametrize("change", [{"value": 0.0}, {"value": 1e6, "prior_std": 1e3}])
 def test_a_file_whose_rates_have_no_value_is_one_line(change: dict[str, float]) -> None:
     """An inertia of nought, a resistance in milliohms: these were tracebacks."""
-    stiff = {"k": {**TANK["parameters"]["k"], **change}, "area": {"value": 1.0, "prior_std": 0.1, "scale": 0.1}}
-    rate = "balance/k" if not change["value"] else "balance/area"
+    stiff = {"k": {**TANK["parameters"]["k"], **change}}
+    rate = "balance/k" if not change["value"] else "balance"
     rig = RigParameters.model_validate({**TANK, "parameters": stiff, "rates": {"h": rate}})
     with pytest.raises(InputError, match=r"no fit of tank that stays finite.*check values and units"):
         dt.discover(emptying(0.5), rig)
@@ -296,3 +303,44 @@ def test_options_that_mean_nothing_to_a_rig_are_refused(
     assert not (tmp_path / "out").exists()
     assert main(["discover", *asked, "--time", "5"]) == 2
     assert "--time: got given; allowed: no such option for tank" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("judge", [dt.discover, dt.identify])
+@pytest.mark.parametrize("level", [0.0, 1.3])
+def test_a_reading_that_stands_still_is_no_clean_bill(judge: Any, level: float, tank: RigParameters) -> None:
+    """An unplugged sensor, nought in every row, was "no mismatch"."""
+    with pytest.raises(InputError, match=rf"column level: got {level:g} in every row; allowed: a reading that moves"):
+        judge(emptying(0.5).assign(level=level), tank)
+    assert len(dt.simulate(emptying(0.5).assign(level=level), tank).table()) == len(emptying(0.5))
+
+
+def test_identify_refuses_what_no_fit_can_follow() -> None:
+    """It wrote the file's values with deviations that were infinite."""
+    rig = RigParameters.model_validate({**TANK, "parameters": {"k": {**TANK_PARAMETERS["k"], "value": 0.0}},
+                                        "rates": {"h": "balance/k"}})  # fmt: skip
+    with pytest.raises(InputError, match=r"no fit of tank that stays finite"):
+        dt.identify(emptying(0.5), rig)
+
+
+def test_what_is_withheld_is_not_looked_for_and_explained_so(tank: RigParameters, tmp_path: Path, capsys: Any) -> None:
+    """The command from end to end: one of two effects withheld, then asked about."""
+    effects = {"leak": LEAK, "bias": {**LEAK, "site": "sensor:level", "law": "reading + b", "sensor": True}}
+    rig = tank.model_validate({**TANK, "effects": effects, "readings": {"level": "h + bias"},
+                               "parameters": {"k": {**TANK_PARAMETERS["k"], "prior_std": 1e-3}}})  # fmt: skip
+    save_rig(rig, tmp_path / "rig.yaml")
+    table = emptying(0.8, 120)
+    table["level"] += 0.002 * np.random.default_rng(3).standard_normal(len(table))
+    table.to_csv(tmp_path / "a.csv", index=False)
+    asked = ["discover", str(tmp_path / "a.csv"), "--engine", str(tmp_path / "rig.yaml"), "--out"]
+    assert main([*asked, str(tmp_path / "whole")]) == 0
+    assert main([*asked, str(tmp_path / "without"), "--withhold", "leak"]) == 0
+    capsys.readouterr()
+    assert main(["discover", "--explain", "leak", "--out", str(tmp_path / "without")]) == 0
+    assert "withheld from the catalogue" in capsys.readouterr().out
+    assert main(["discover", "--explain", "leak", "--out", str(tmp_path / "whole")]) == 0
+    said = capsys.readouterr().out
+    assert "\nchosen\n" in said and "could show: –" not in said
+    assert main([*asked, str(tmp_path / "none"), "--withhold", "leek"]) == 2
+    assert "did you mean leak" in capsys.readouterr().err and not (tmp_path / "none").exists()
+    said = json.loads((tmp_path / "without" / "discrepancy.json").read_text())
+    assert "leak" not in [effect["name"] for effect in said["effects"]]

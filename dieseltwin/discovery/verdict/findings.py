@@ -262,7 +262,7 @@ def valid_for(found: Search) -> str:
     conditions = {name: values[acts] for name, values in found.twin.conditions.items()}
     parts = []
     for name, values in conditions.items():
-        symbol, unit = CONDITIONS.get(name, (name.rsplit("_", 1)[0], ""))
+        symbol, unit = CONDITIONS.get(name, (name, ""))
         parts.append(f"{symbol} {np.min(values):.4g}-{np.max(values):.4g} {unit}".strip())
     return ", ".join(parts)
 

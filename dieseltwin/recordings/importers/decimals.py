@@ -11,6 +11,8 @@ MARKS = (",", ".")
 LEAST_PLAIN, MOST_PLAIN = 100.0, 999.0
 """Whole numbers between the two beside 1.013 in one column: the next one above may be 1,013."""
 
+_GOES_ON = 10.0  # times the largest number without a mark, within which one with it goes on
+
 
 def _clear(mark: str, other: str) -> re.Pattern[str]:
     """Numbers in which the mark can't group thousands: 0,5 and 1011,346 and 1.234,567, but not 1,013."""
@@ -68,9 +70,9 @@ def doubtful_mark(where: str, names: Sequence[str], rows: Sequence[Sequence[str]
             elif any(cell.endswith("0") for cell in marked):
                 return _other(mark), []
             else:
-                raise _either(f"{where}: column {name}", f"{max(plain):.0f} and {marked[0]}")
+                raise either(f"{where}: column {name}", f"{max(plain):.0f} and {marked[0]}")
     if len(doubtful) > 1:
-        raise _either(where, f"column {doubtful[','][0]} with commas and column {doubtful['.'][0]} with points")
+        raise either(where, f"column {doubtful[','][0]} with commas and column {doubtful['.'][0]} with points")
     if not doubtful:
         return ".", []
     mark, columns = next(iter(doubtful.items()))
@@ -83,6 +85,22 @@ def _other(mark: str) -> str:
     return "." if mark == "," else ","
 
 
-def _either(where: str, got: str) -> InputError:
+def writes_groups(cells: Sequence[str], mark: str, decimal: str) -> bool:
+    """Whether the numbers of a column leave no doubt that a mark groups its thousands: one has two of them or decimals
+    behind (1,200.5), or all others are whole and end below a thousand, where the first mark comes (990 and 1,013, but
+    not 180 and 181,549)."""
+    marked = [cell for cell in cells if mark in cell]
+    if any(cell.count(mark) > 1 or decimal in cell for cell in marked):
+        return True
+    plain = [cell for cell in cells if mark not in cell]
+    if any(decimal in cell or not re.fullmatch(r"[+-]?\d+", cell) for cell in plain):
+        return False
+    largest = max(abs(float(cell)) for cell in plain)
+    least = min(abs(float(cell.replace(mark, ""))) for cell in marked)
+    return LEAST_PLAIN <= largest <= MOST_PLAIN and least <= _GOES_ON * largest
+
+
+def either(where: str, got: str) -> InputError:
+    """For a number that may have three decimals or thousands."""
     return InputError(where, f"{got}: decimals or thousands?", "numbers that tell them apart",
                       "export it without grouping of thousands")  # fmt: skip

@@ -89,7 +89,7 @@ def read_delimited(path: Path, content: bytes) -> RawChannels:
         raise InputError(str(path), "no rows", "a header and rows", "record again")
     units = {name: unit for name, unit in zip(names, dialect.layout.units, strict=True) if name and unit}
     frame, repeated = without_repeated_names(frame)
-    frame, cell_units, cleaned = in_numbers(frame, decimal)
+    frame, cell_units, cleaned = in_numbers(frame, decimal, str(path))
     if not names[0]:
         frame = with_clock(frame, _nameless(0))
     notes.extend((*repeated, *cleaned, *doubts))

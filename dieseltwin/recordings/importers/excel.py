@@ -110,7 +110,7 @@ def _read_texts(frame: pd.DataFrame, where: str) -> tuple[pd.DataFrame, dict[str
     if mark is None:
         rows = [[_text(cell) for cell in row] for row in texts.itertuples(index=False)]
         mark, doubts = doubtful_mark(where, list(texts.columns), rows)
-    read, units, notes = in_numbers(words, mark)
+    read, units, notes = in_numbers(words, mark, where)
     for name in texts.columns:
         if pd.api.types.is_float_dtype(read[name]):  # beside the text there may be numbers
             others = texts[name].where(words[name].isna(), None)

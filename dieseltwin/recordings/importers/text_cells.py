@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
-from dieseltwin.recordings.importers.decimals import groups
+from dieseltwin.recordings.importers.decimals import either, groups, writes_groups
 from dieseltwin.recordings.importers.layout import BLANKS, is_number, is_stamp_text, is_unit
 from dieseltwin.settings.names import listed
 
@@ -62,15 +62,21 @@ def without_repeated_names(frame: pd.DataFrame) -> tuple[pd.DataFrame, list[str]
     return frame[~dropped].reset_index(drop=True), [note]
 
 
-def in_numbers(frame: pd.DataFrame, decimal: str) -> tuple[pd.DataFrame, dict[str, str], list[str]]:
+def in_numbers(
+    frame: pd.DataFrame, decimal: str, where: str = "the table"
+) -> tuple[pd.DataFrame, dict[str, str], list[str]]:
     """Turn columns of text (n, k) that hold numbers into numbers.
 
     Args:
         frame: as pandas read it.
         decimal: "," or "." of the file, as far as its plain numbers say.
+        where: name of the file, for messages.
 
     Returns:
         The table, name -> the unit that all its cells carry, and notes.
+
+    Raises:
+        InputError: a cell "12,512" among 10.25 and 11.5, which is either 12.512 or 12512.
     """
     units: dict[str, str] = {}
     texts = {str(name): frame[name].dropna().astype(str).str.strip() for name in frame.columns if _is_text(frame[name])}
@@ -81,6 +87,7 @@ def in_numbers(frame: pd.DataFrame, decimal: str) -> tuple[pd.DataFrame, dict[st
     frame, read = frame.copy(), []
     for name, cells in texts.items():
         found = cells.str.replace(_GROUP, "", regex=True).str.extract(_CELL)
+        _refuse_doubtful(f"{where}: column {name}", found[0].dropna(), decimal)
         values = pd.to_numeric(_pointed(found[0], decimal), errors="coerce")
         behind = found[1].fillna("").unique()
         if values.isna().any() or len(behind) > 1 or not (behind[0] == "" or is_unit(behind[0])):
@@ -110,6 +117,17 @@ def _commas_are_decimal(columns: Sequence[pd.Series]) -> bool:
     cells = pd.concat([column.head(SAMPLE) for column in columns]).str.extract(_CELL)[0].dropna()
     commas = cells[cells.str.contains(",", regex=False)]
     return not cells.str.contains(".", regex=False).any() and bool((~commas.str.match(groups(","))).any())
+
+
+def _refuse_doubtful(column: str, cells: pd.Series, decimal: str) -> None:
+    """Refuse a mark that may stand before three decimals among numbers whose writer didn't group thousands."""
+    mark = "." if decimal == "," else ","
+    doubtful = cells[cells.str.match(groups(mark)).fillna(False).astype(bool)]
+    others = cells.drop(doubtful.index)
+    if doubtful.empty or others.empty or writes_groups([*cells], mark, decimal):
+        return
+    row, cell = int(doubtful.index[0]), doubtful.iloc[0]
+    raise either(f"{column}, data row {row + 1}", f"{cell} beside {others.iloc[0]}")
 
 
 def _pointed(cells: pd.Series, decimal: str) -> pd.Series:

@@ -72,3 +72,27 @@ def test_what_could_be_either_is_refused_beside_whole_numbers_and_noted_alone(tm
                                             ("1013,250", ","), ("1.013", None), ("26,621", None), ("1e-3", None)])
 def test_marks_without_doubt(cell, mark):
     assert clear_mark([cell]) == mark
+
+
+@pytest.mark.parametrize(
+    ("cells", "got"),
+    [(["10.250", "10.500", '"12,512"'], "12,512 beside 10.250"), (["12", "13", '"12,500"'], "12,500 beside 12"),
+     (["180", "190", '"181,549"'], "181,549 beside 180"), (["990", "1010", '"1,200"'], "1,200 beside 990")],
+)  # fmt: skip
+def test_three_digits_behind_a_comma_in_one_cell_are_not_taken_for_thousands(tmp_path, cells, got):
+    """One cell "12,512" of a typist among 10.25 and 10.5 was read as 12512 without a word."""
+    path = tmp_path / "typed.csv"
+    path.write_text("time_s,y\n" + "".join(f"{0.1 * i:.1f},{cells[min(i, 2)]}\n" for i in range(3)))
+    with pytest.raises(InputError, match=f"column y, data row 3: got {got}: decimals or thousands"):
+        read_raw(path)
+
+
+@pytest.mark.parametrize(
+    ("cells", "last"),
+    [(["10.25", "10.50", '"12,5"'], 12.5), (["990", "995", '"1,013"'], 1013.0),
+     (["990.5", "995.5", '"1,013.5"'], 1013.5)],
+)  # fmt: skip
+def test_a_comma_that_leaves_no_doubt_is_read(tmp_path, cells, last):
+    path = tmp_path / "typed.csv"
+    path.write_text("time_s,y\n" + "".join(f"{0.1 * i:.1f},{cells[min(i, 2)]}\n" for i in range(3)))
+    assert read_raw(path).table["y"].iloc[-1] == last
