@@ -231,11 +231,10 @@ def laws_in_turn(
             refit = None
         if inside is not None and refit is not None and (fault is None or _is_ahead(refit, fault)):
             best, found = refit, Resolved(refit.score, partial(_reported, inside, of_fault))
-        if before is not None and best is before:
+        if found is None or best is before:
             return
         before = best
-        if found is not None:
-            yield found
+        yield found
 
 
 def _reported(inside: LawSearch, otherwise: Resolved | None) -> Law | None:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -374,15 +373,12 @@ def _law(found: Search) -> None:
         since_s = best_onset(found.null, terms, found.settings.least_share)
         later = scored_since(found.null, terms, since_s)
         if later and later[0].gain > terms[0].gain + 0.5 * least:
-            other = replace(found, law=None)
-            _law_of(other, later, since_s, least + (0.0 if found.law is None else found.law.score))
-            if other.law is not None:
-                found.law, found.left, found.left_local = other.law, other.left, other.left_local
+            _law_of(found, later, since_s, least + (0.0 if found.law is None else found.law.score))
     found.seconds["law"] = time.perf_counter() - clock
 
 
 def _law_of(found: Search, terms: Sequence[Structure], since_s: float | None, least: float = -np.inf) -> None:
-    """A law that is there from a time on, and what it leaves; none that explains no more than `least`.
+    """A law that is there from a time on, and what it leaves, in place of a known one if it explains more than `least`.
 
     Where it leaves more than it should, points whose linear gains are small are looked at, too: what a large effect
     does isn't linear. A back pressure, 28 % of the best one's, was a law of the turbine's efficiency.
@@ -391,9 +387,8 @@ def _law_of(found: Search, terms: Sequence[Structure], since_s: float | None, le
                         lambda here: tolerance_responses(here.twin, here, found.settings), since_s)  # fmt: skip
     for resolved in laws:
         law = resolved.report() if resolved.score > least else None
-        if law is None:
-            continue
-        found.law, least = law, law.score
-        found.left, found.left_local = beyond_law(found, law)
+        if law is not None:
+            found.law, least = law, law.score
+            found.left, found.left_local = beyond_law(found, law)
         if not found.more_is_missing():
             break

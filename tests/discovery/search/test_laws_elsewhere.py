@@ -100,3 +100,6 @@ def test_a_law_that_explains_too_little_is_not_reported(monkeypatch: pytest.Monk
     reported.clear()
     search_run._law_of(found, (), 12.0, 40.0)
     assert reported == [50.0] and found.law is not None and found.law.score == 50.0
+    found.more_is_missing = lambda: False
+    search_run._law_of(found, (), 12.0, 40.0)
+    assert reported == [50.0], "what is known leaves nothing"
