@@ -11,6 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import cast
 
 import numpy as np
 
@@ -211,7 +212,6 @@ def discover_points(calibration: Calibration, options: Options | None = None) ->
     here = calibration
     first = best = foretold(here, free)
     rounds: list[Round] = []
-    twins: list[SteadyTwin] = []
     names: list[str] = []
     faded: set[str] = set()
     told = told_by_reference(calibration)
@@ -226,7 +226,6 @@ def discover_points(calibration: Calibration, options: Options | None = None) ->
             found.names_for_round(misfit, options.search.least_explained, refused=True)
         if not added or len(names) + len(added) > options.search.most_effects:
             rounds.append(Round(found, (), best.nll, False))
-            twins.append(twin)
             break
         more = [c for name in added for c in effect_coefficients(name, hypotheses[name], options.search.flap_spread)]
         if onset is not None:
@@ -239,7 +238,6 @@ def discover_points(calibration: Calibration, options: Options | None = None) ->
         with_it = foretold(candidate, [*free, *more])
         taken = with_it.better_than(best)
         rounds.append(Round(found, added, with_it.nll, taken, onset))
-        twins.append(twin)
         if not taken:
             break
         here, best = candidate, with_it
@@ -275,17 +273,17 @@ def discover_points(calibration: Calibration, options: Options | None = None) ->
         law, terms, scatter, options, formulations(here, free, options.search.submodels), time.perf_counter() - clock,
         before_law, beside_pipes,
         wider(last.found, twin) if more_is_missing and not told else None,
-        {} if told else _named_by_wider(rounds, twins, names),
+        {} if told else _named_by_wider(rounds, names),
     )  # fmt: skip
 
 
-def _named_by_wider(rounds: Sequence[Round], twins: Sequence[SteadyTwin], names: Sequence[str]) -> dict[str, Rough]:
+def _named_by_wider(rounds: Sequence[Round], names: Sequence[str]) -> dict[str, Rough]:
     """The first name that is left and acts in all points, by wider beliefs of the maps; what begins in the middle of
     the points is no error of a map."""
-    for item, twin in zip(rounds, twins, strict=True):
+    for item in rounds:
         kept = [name for name in item.names if name in names]
         if item.taken and item.onset is None and kept:
-            return {kept[0]: wider(item.found, twin)}
+            return {kept[0]: wider(item.found, cast(SteadyTwin, item.found.twin))}
     return {}
 
 

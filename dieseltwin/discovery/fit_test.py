@@ -288,10 +288,9 @@ def _searched(
     *, between_rows: bool,
 ) -> tuple[Search, Sequence[Suspect], Sequence[Excess]]:
     columns = {**part.columns, **{name: _with_noise(part.columns[name], name) for name in sensors}}
-    belief = None if learned is None else learned.belief
     noisy = replace(part, columns=Columns(columns))
-    twin = EngineTwin(noisy, engine, sensors, belief=belief) if belief is None else beside_its_compressor(
-        noisy, engine, sensors, belief, None if learned is None else learned.beliefs(default_search().circumstances)
+    twin = EngineTwin(noisy, engine, sensors) if learned is None else beside_its_compressor(
+        noisy, engine, sensors, learned.belief, learned.beliefs(default_search().circumstances)
     )  # fmt: skip
     twin.between_rows = between_rows
     found = prepare(twin, Options().settings())

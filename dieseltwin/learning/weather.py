@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dieseltwin.engine import EngineParameters
+from dieseltwin.recordings.circumstances import POSSIBLE_EXPONENTS
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.settings.search import CircumstanceSettings
 
@@ -21,8 +22,6 @@ UNDECIDED = 0.5
 
 EXPONENTS = ("k_cflow", "k_cspeed")
 """Engine parameters that say how far the compressor's maps go by corrected values."""
-
-_POSSIBLE = -0.5, 1.5  # 0 to 1, and what errors of maps add
 
 WEATHER = ("p_cmap", "T_cmap")
 """Engine parameters that say which weather its maps are of."""
@@ -80,7 +79,7 @@ def as_sure_as_the_weather(
     for name, item in exponents.items():
         std = float(np.hypot(item.std, error / np.sqrt(np.mean(more[name] ** 2))))
         if std < getattr(beliefs, name):
-            found[name] = Exponent(float(np.clip(item.value, *_POSSIBLE)), std)
+            found[name] = Exponent(float(np.clip(item.value, *POSSIBLE_EXPONENTS)), std)
     return found
 
 

@@ -25,7 +25,8 @@ _OF = "@"
 _POSSIBLE = {"p_amb_pa": (4.5e4, 1.1e5), "t_amb_k": (215.0, 330.0), "t_im_k": (230.0, 420.0)}
 """Weather and charge behind a cooler that an engine can have: to 6 km of height, -58 to 57 degC."""
 
-_EXPONENTS = -0.5, 1.5  # 0 to 1, and what errors of maps add
+POSSIBLE_EXPONENTS = -0.5, 1.5
+"""Of a compressor's corrected flow and speed: 0 to 1, and what errors of maps add [-]."""
 
 @dataclass(frozen=True)
 class Circumstance:
@@ -98,7 +99,7 @@ def applicable(recording: Recording, name: str, value: float) -> float:
     if kind == DRIFT:
         return 0.0
     if kind == CORRECTED:
-        return float(np.clip(value, *_EXPONENTS))
+        return float(np.clip(value, *POSSIBLE_EXPONENTS))
     if kind == TIME_SHIFT and column not in INPUTS:
         step = float(np.median(np.diff(recording.time_s)))
         return step * round(value / step)

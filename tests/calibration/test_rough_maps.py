@@ -17,13 +17,18 @@ from dieseltwin.settings.defaults import default_search
 from tests.calibration.simulated import GEOMETRY, TRUTH, made_points
 
 
-@pytest.fixture(scope="module")
-def bent() -> PointsDiscovery:
-    """A filling that waves by 3 % over engine speed, which no coefficient of its map has."""
-    data = made_points(TRUTH, count=90, noise=0.002, u_flap_pct=100.0, filling_wave=0.03)
+def _found(**waves: float) -> PointsDiscovery:
+    """Of an engine with a map or formula that waves, relative, over engine speed."""
+    data = made_points(TRUTH, count=90, noise=0.002, u_flap_pct=100.0, **waves)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "STARTS", 0)
         return discover_points(calibrate(data, TRUTH, GEOMETRY), Options(law_search=False))
+
+
+@pytest.fixture(scope="module")
+def bent() -> PointsDiscovery:
+    """A filling that waves by 3 % over engine speed, which no coefficient of its map has."""
+    return _found(filling_wave=0.03)
 
 
 def test_errors_of_maps_that_would_explain_it_are_said(bent: PointsDiscovery) -> None:
@@ -66,10 +71,7 @@ def test_names_that_are_as_good_beside_rougher_maps_are_said() -> None:
 @pytest.fixture(scope="module")
 def warm() -> PointsDiscovery:
     """An exhaust temperature whose formula waves by 3 % over engine speed."""
-    data = made_points(TRUTH, count=90, noise=0.002, u_flap_pct=100.0, exhaust_wave=0.03)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "STARTS", 0)
-        return discover_points(calibrate(data, TRUTH, GEOMETRY), Options(law_search=False))
+    return _found(exhaust_wave=0.03)
 
 
 def test_an_exhaust_temperature_that_errs_smoothly_is_no_fault(warm: PointsDiscovery) -> None:
