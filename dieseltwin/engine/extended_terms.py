@@ -196,29 +196,56 @@ def _with_laws(
     actuation: Actuation, batch: ParameterBatch, extension: Extension, starts: np.ndarray, threads: int | None
 ) -> Observations:
     """Lanes under laws at one point, or one lane under laws at several."""
-    points = list(dict.fromkeys(law.point for law in law_terms(batch.terms)))
+    points = _points(batch.terms)
     shape = (batch.size, actuation.time_s.size)
 
     def simulated(signals: Mapping[str, Array]) -> Observations:
-        entered = extension
-        if signals and batch.size == 1:
-            rows = np.zeros((len(POINTS), shape[1]))
-            for point, signal in signals.items():
-                rows[POINTS.index(point)] = np.broadcast_to(signal, shape)[0]
-            entered = replace(extension, signals=rows)
-        elif signals:
-            ((point, signal),) = signals.items()
-            own = np.ascontiguousarray(np.broadcast_to(signal, shape))
-            entered = replace(
-                extension, lane_point=np.full(batch.size, POINTS.index(point)), lane_signal=own
-            )
-        return simulate_extended(actuation, batch, entered, starts, threads)
+        return simulate_extended(actuation, batch, _entered(extension, signals, shape), starts, threads)
 
     def answer(signals: Mapping[str, Array]) -> dict[str, Array]:
         _, s = along(simulated(signals).states, actuation, batch.terms, batch.constants(), laws_only=True)
         return {point: getattr(s, point) for point in points}
 
     return simulated(settled(answer, {}, rounds=LAW_SWEEPS if points else 0, tolerance=LAW_SETTLED))
+
+
+def _points(terms: Terms) -> list[str]:
+    return list(dict.fromkeys(law.point for law in law_terms(terms)))
+
+
+def _entered(extension: Extension, signals: Mapping[str, Array], shape: tuple[int, int]) -> Extension:
+    """The extension with signals of all lanes at one point, or of one lane at several; shape: (lanes, samples)."""
+    if not signals:
+        return extension
+    if shape[0] == 1:
+        rows = np.zeros((len(POINTS), shape[1]))
+        for point, signal in signals.items():
+            rows[POINTS.index(point)] = np.broadcast_to(signal, shape)[0]
+        return replace(extension, signals=rows)
+    ((point, signal),) = signals.items()
+    own = np.ascontiguousarray(np.broadcast_to(signal, shape))
+    return replace(extension, lane_point=np.full(shape[0], POINTS.index(point)), lane_signal=own)
+
+
+def at_rest(actuation: Actuation, batch: ParameterBatch, initial: np.ndarray) -> np.ndarray:
+    """States (3,) in which one engine under laws ends at inputs that stand still, from `initial` (3,).
+
+    The laws' signals stand still, too: each round goes on from where the last one ended, with what the laws say there,
+    so that all but the first are short ways.
+    """
+    extension, shape = extension_of(actuation, batch.terms, 1), (1, actuation.time_s.size)
+    state = np.asarray(initial, dtype=np.float64)
+
+    def answer(signals: Mapping[str, Array]) -> dict[str, Array]:
+        nonlocal state
+        entered = _entered(extension, signals, shape)
+        states = simulate_extended(actuation, batch, entered, state[None, None], 1).states
+        state = states[0, -1, :3].copy()
+        _, s = along(states, actuation, batch.terms, batch.constants(), laws_only=True)
+        return {point: getattr(s, point)[..., -1:] for point in _points(batch.terms)}
+
+    settled(answer, {}, rounds=LAW_SWEEPS, tolerance=LAW_SETTLED, secant=True)
+    return state
 
 
 def signals_of(

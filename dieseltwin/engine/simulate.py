@@ -11,7 +11,7 @@ from dieseltwin.engine._compiled import LANES, N_OUT, N_STATES, follow_oxygen, i
 from dieseltwin.engine.actuation import actuate
 from dieseltwin.engine.binding import Model, numpy_model
 from dieseltwin.engine.extended_frame import columns_along
-from dieseltwin.engine.extended_terms import along, simulate_lanes, simulate_terms
+from dieseltwin.engine.extended_terms import along, at_rest, simulate_lanes, simulate_terms
 from dieseltwin.engine.inputs import DEFAULT_STEP_S, Actuation, Inputs, actuate_like, grids_of
 from dieseltwin.engine.observations import Observations, observations, pool, thread_count
 from dieseltwin.engine.parameters import EngineParameters, ParameterBatch, constants, parameter_batch
@@ -27,7 +27,6 @@ __all__ = [
 SETTLE_S = 120.0  # s of constant input until the slowest state (turbo speed, some seconds) rests
 SETTLE_START = (1.2e5, 1.3e5, 3000.0)  # Pa, Pa, rad/s: light load, inside the basin of every steady point
 _BLOCK = 100_000  # steps of the oxygen's flows at a time
-_LAW_ROUNDS = 4  # of coming to rest: laws are linear between the two rows, so they rest where the rows agree
 _DRIVER_COLUMNS = ("x_oim", "x_oem", "lambda", "egr_fraction", "torque_nm")
 
 
@@ -113,9 +112,9 @@ def settle(
                     u_flap_pct=None if u_flap_pct is None else np.full(2, u_flap_pct))  # fmt: skip
     actuation, batch = actuate(inputs, parameters), parameter_batch(parameters)
     state = np.array(SETTLE_START)
-    for _ in range(_LAW_ROUNDS if law_terms(parameters.terms) else 1):
-        state = simulate_states(actuation, batch, state).states[0, -1, :3].copy()
-    return state
+    if law_terms(parameters.terms):
+        return at_rest(actuation, batch, state)
+    return simulate_states(actuation, batch, state).states[0, -1, :3].copy()
 
 
 def settle_first(inputs: Inputs, parameters: EngineParameters) -> np.ndarray:

@@ -132,6 +132,19 @@ def test_settled_state_is_at_rest() -> None:
     np.testing.assert_allclose(later, start, rtol=1e-6)
 
 
+def test_an_engine_under_laws_comes_to_rest_where_its_simulation_stays() -> None:
+    """Two laws at two points, one of a quantity that its own signal changes."""
+    flow = LawTerm(point="W_c", coefficient=-0.05, unit="-", factors=(("W_c", 0.2, 1.0), ("omega_t", 6000.0, -1.0)))
+    friction = LawTerm(point="shaft_power", coefficient=-300.0, unit="W", factors=(("omega_t", 5000.0, 2.0),))
+    engine = we2011.PARAMETERS.replace(terms=[flow, friction])
+    rest = settle(1200.0, 100.0, 30.0, 50.0, engine)
+    one = np.ones(51)
+    inputs = Inputs(np.arange(0.0, 10.1, 0.2), 1200.0 * one, 100.0 * one, 30.0 * one, 50.0 * one)
+    table = simulate(inputs, engine, oxygen=False, initial=rest)
+    np.testing.assert_allclose(table[["p_im_pa", "p_em_pa", "omega_t_rad_s"]].to_numpy()[-1], rest, rtol=2e-5)
+    assert abs(rest[0] / settle(1200.0, 100.0, 30.0, 50.0, we2011.PARAMETERS)[0] - 1.0) > 0.02
+
+
 def test_at_rest_terms_act_as_they_do_at_the_first_row() -> None:
     at = (1200.0, 100.0, 30.0, 50.0)
     leak = Term(effect="boost_leak", magnitude=2e-4)
