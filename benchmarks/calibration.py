@@ -17,11 +17,11 @@ import numpy as np
 
 from dieseltwin.calibration.calibrate import Calibration, calibrate
 from dieseltwin.calibration.coefficients import engine_coefficients, scalar, with_scalars
-from dieseltwin.calibration.likelihood import NOISE
 from dieseltwin.engine import we2011
 from dieseltwin.engine.inputs import Inputs
 from dieseltwin.engine.parameters import EngineParameters
 from dieseltwin.engine.simulate import simulate
+from dieseltwin.recordings.noise import SETTLED_NOISE
 from dieseltwin.recordings.steady_points import STATES, SteadyPoints, points
 
 HOLD_S = 40.0
@@ -92,7 +92,7 @@ def main() -> int:
         truth, geometry = drawn_engine(generator)
         data = settled_points(truth, given.points, given.noise / 100.0, generator)
         began = time.perf_counter()
-        found = calibrate(data, we2011.PARAMETERS, geometry, noise={k: given.noise / 100.0 for k in NOISE})
+        found = calibrate(data, we2011.PARAMETERS, geometry, noise={k: given.noise / 100.0 for k in SETTLED_NOISE})
         z = recovered(found, truth)
         hits = [abs(v) <= INTERVAL_90 for v in z.values()]
         inside += hits

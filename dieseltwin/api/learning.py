@@ -13,7 +13,7 @@ import pandas as pd
 
 from dieseltwin.api.engines import AnyEngine, diesel_engine, named, petrol_base
 from dieseltwin.api.petrol import PetrolCalibrated, learn_petrol
-from dieseltwin.api.reading import Channels, Made, Source, diesel_recording, several
+from dieseltwin.api.reading import Channels, Made, Source, of_a_healthy_engine, several
 from dieseltwin.api.reference_faults import alike_line, hidden_line, suspected_faults
 from dieseltwin.api.results import Result, drawn
 from dieseltwin.discovery.reference.evidence import Learned
@@ -28,7 +28,7 @@ from dieseltwin.learning.files import LearnedEngine, going_on, learned_engine_of
 from dieseltwin.learning.levels import health_covariance
 from dieseltwin.learning.siblings import belief_from_siblings
 from dieseltwin.learning.weather import exponent_words
-from dieseltwin.notes import Note, counted, of_reading
+from dieseltwin.notes import Note, of_reading
 from dieseltwin.paths import YAML_ENDINGS
 from dieseltwin.petrol.parameters import PetrolParameters
 from dieseltwin.recordings.columns import Columns
@@ -73,8 +73,7 @@ class LearnedResult(Result):
     def sentence(self) -> str:
         maps = self.table()
         learned = ", ".join(f"{point} by {row.corrected_pct:.1f} %" for point, row in maps.iterrows())
-        heard = counted(len(self.known.recordings), "recording")
-        return f"Learned from {self.known.minutes:.1f} minutes of {heard}; maps corrected: {learned or 'none'}."
+        return f"Learned from {self.known.heard}; maps corrected: {learned or 'none'}."
 
     def table(self) -> pd.DataFrame:
         """One row a map: what was believed of its error before, the correction, how well it is known now (rms) [%]."""
@@ -122,7 +121,8 @@ def learn(
     A petrol engine's maps are all of its own: it is calibrated on all recordings together.
 
     Args:
-        recordings: of the engine when it was known to be well, files or tables; one that comes twice counts once.
+        recordings: of the engine when it was known to be well, files or tables, over time or settled points in any
+            mix; one that comes twice counts once.
         engine: the base, or the file of an engine that was learned before, which is then known further.
         channels: channel map of the recordings.
         sensors: columns to use; None is all that there are, which must be the paper's five at least.
@@ -163,14 +163,14 @@ def _learn_diesel(
         raise InputError("--map-error", f"{map_error:g}", f"{before.map_rms:g}, as {engine} says", "leave it out")
     sources: list[Recording] = []
     for item in recordings:
-        source = diesel_recording(item, channels, base, sensors=())
-        used, doubts = check_recording(source, base, sensors)
-        if sensors is not None:
-            source = replace(source, columns=Columns({
-                name: values for name, values in source.columns.items() if name not in MEASURED or name in used}))
-        told = (*source.notes, *doubts)
-        notes += [of_reading(note, f"{source.path or 'recording'}: ") for note in told]
-        sources.append(source)
+        for source in of_a_healthy_engine(item, channels, base):
+            used, doubts = check_recording(source, base, sensors)
+            if sensors is not None:
+                source = replace(source, columns=Columns({
+                    name: values for name, values in source.columns.items() if name not in MEASURED or name in used}))
+            told = (*source.notes, *doubts)
+            notes += [of_reading(note, f"{source.path or 'recording'}: ") for note in told]
+            sources.append(source)
     earlier = () if before is None else before.recordings
     known_rows = {item.rows_sha256 for item in earlier}
     together = [*earlier, *(item for item in distinct(sources) if item.rows_sha256 not in known_rows)]
@@ -256,7 +256,7 @@ def summary(learned: LearnedEngine) -> list[str]:
     """What is known, as lines of text: health, and of every map how much it was corrected, how well, and where."""
     belief = learned.belief
     std = np.sqrt(np.diag(health_covariance(learned)))
-    lines = [f"learned from {learned.minutes:.1f} minutes of {counted(len(learned.recordings), 'recording')}"]
+    lines = [f"learned from {learned.heard}"]
     lines += [
         f"  {name:<10}{_in_its_unit(name, value):>17} ± {100 * s / value:.2g} %, {100 * (value / then - 1):+.1f} % "
         "from the base"

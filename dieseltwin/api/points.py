@@ -21,7 +21,6 @@ from dieseltwin.calibration.calibrate import Calibration, read_geometry
 from dieseltwin.calibration.calibrate import calibrate as calibrated
 from dieseltwin.calibration.discover import Options, PointsDiscovery, discover_points
 from dieseltwin.calibration.imply import Answers, contradictions
-from dieseltwin.calibration.likelihood import NOISE
 from dieseltwin.calibration.saved import (
     Repaired,
     answers_of,
@@ -142,7 +141,7 @@ def calibrate_points(
     """
     shape = base if geometry is None else read_geometry(geometry, base)
     source = settled_points(points, channels, shape, NEEDED)
-    noise = None if noise_pct is None else {name: noise_pct / 100.0 for name in NOISE}
+    noise = None if noise_pct is None else {name: noise_pct / 100.0 for name in STATES}
     began = time.perf_counter()
     found = calibrated(source, base, shape, noise=noise, seed=seed, where=str(source.path or "points"))
     return Calibrated(found, time.perf_counter() - began)

@@ -20,9 +20,11 @@ from dieseltwin.petrol.recording import PetrolRecording, read_petrol
 from dieseltwin.recordings.channels import INPUTS, TIME, ChannelMap, foreign_hint
 from dieseltwin.recordings.named_columns import Imported, import_columns
 from dieseltwin.recordings.reader import Recording, read_recording
+from dieseltwin.recordings.standing import standing
 from dieseltwin.recordings.steady_points import SteadyPoints, read_points
 from dieseltwin.rigs.parameters import RigParameters
 from dieseltwin.rigs.recording import RigRecording, read_rig, refuse_still
+from dieseltwin.sensors import NEEDED
 from dieseltwin.settings.extras import require
 from dieseltwin.settings.names import listed, refuse_options
 from dieseltwin.symbols import BY_COLUMN
@@ -165,6 +167,20 @@ def diesel_recording(
             raise InputError(f"{source.path or 'recording'}: column {name}", f"none ({listed(source.channels)})",
                              "this column", foreign_hint(name, source.columns))
     return source
+
+
+def of_a_healthy_engine(
+    source: Source | Opened, channels: Channels | None, engine: EngineParameters
+) -> list[Recording]:
+    """What an engine is learned from: a recording over time, or settled points as those in which it stands.
+
+    Raises:
+        InputError: one line saying what is wrong with it.
+    """
+    source = opened(source, engine, channels)
+    if settled(source):
+        return standing(settled_points(source, channels, engine, (*INPUTS, *NEEDED)))
+    return [diesel_recording(source, channels, engine, sensors=())]
 
 
 def settled_points(

@@ -17,11 +17,12 @@ import numpy as np
 import pandas as pd
 
 from dieseltwin.arrays import Array
-from dieseltwin.calibration.likelihood import NOISE, STEEPEST
+from dieseltwin.calibration.likelihood import STEEPEST
 from dieseltwin.calibration.local_errors import Foretold, LocalErrors
 from dieseltwin.calibration.outlying import FAR_OFF
 from dieseltwin.calibration.steady_model import IMPLIED, SteadyModel
 from dieseltwin.notes import Note, counted, listing
+from dieseltwin.recordings.noise import SETTLED_NOISE
 from dieseltwin.recordings.steady_points import STATES, SteadyPoints
 
 COLUMNS: Mapping[str, str] = {
@@ -160,7 +161,7 @@ class Answerer:
         known = np.isfinite(measured)
         first = self.guess.states(points)
         centre = np.log(np.where(known, measured, first))
-        sigma = np.array([self.noise.get(name, NOISE[name]) for name in STATES])
+        sigma = np.array([self.noise.get(name, SETTLED_NOISE[name]) for name in STATES])
         prior = np.where(known, sigma, np.maximum(GUESS_FACTOR * self.guess.residual, GUESS_LEAST))
         foretold = None if self.local is None else self.local.at(points)
         if foretold is None:

@@ -22,14 +22,8 @@ from scipy.special import gammaln
 from dieseltwin.arrays import Array
 from dieseltwin.calibration.coefficients import Coefficient
 from dieseltwin.calibration.steady_model import SteadyModel
+from dieseltwin.recordings.noise import FLAT, SETTLED_NOISE
 from dieseltwin.recordings.steady_points import STATES, SteadyPoints
-
-NOISE: Mapping[str, float] = {
-    "p_im_pa": 0.005, "p_em_pa": 0.005, "omega_t_rad_s": 0.005, "w_c_kg_s": 0.01, "w_egr_kg_s": 0.02, "t_em_k": 0.01,
-}  # fmt: skip
-"""Relative standard deviation of a reading on a test bed, if none is given [-]; order of `STATES`."""
-
-FLAT = 0.5  # of the middle reading: below, a sensor's error no longer falls with what it reads
 
 STATE_STEP = 5e-4  # relative, of central differences in the states
 COEFFICIENT_STEP = 1e-4  # of a prior standard deviation
@@ -87,9 +81,9 @@ def reading_noise(x: Array, noise: Mapping[str, float] | None = None) -> Array:
 
     Args:
         x: (n, 6) readings, nan where there is none.
-        noise: relative standard deviation of each in the middle of its range and above [-]; None: `NOISE`.
+        noise: relative standard deviation of each in the middle of its range and above [-]; None: `SETTLED_NOISE`.
     """
-    size, relative = np.abs(x), np.array([(noise or NOISE)[name] for name in STATES])
+    size, relative = np.abs(x), np.array([(noise or SETTLED_NOISE)[name] for name in STATES])
     least = FLAT * np.nanmedian(size, axis=0)
     return np.asarray(relative * np.maximum(1.0, least / np.where(size > 0.0, size, np.inf)))
 

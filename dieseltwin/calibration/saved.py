@@ -21,7 +21,6 @@ from dieseltwin.calibration.calibrate import Calibration
 from dieseltwin.calibration.coefficients import BELIEFS
 from dieseltwin.calibration.discover import PointsDiscovery
 from dieseltwin.calibration.imply import Answerer, Answers, Guess, guess_of
-from dieseltwin.calibration.likelihood import NOISE
 from dieseltwin.calibration.local_errors import LocalErrors, Smoothness, local_errors, thinned
 from dieseltwin.calibration.steady_model import SteadyModel, term_values
 from dieseltwin.engine.effects import EFFECTS
@@ -29,6 +28,7 @@ from dieseltwin.engine.engine_files import load_engine
 from dieseltwin.engine.parameters import EngineParameters
 from dieseltwin.errors import InputError
 from dieseltwin.notes import doubts_among, warnings_of
+from dieseltwin.recordings.noise import SETTLED_NOISE
 from dieseltwin.recordings.steady_points import SINCE, SteadyPoints
 from dieseltwin.sealed import read_json, sealed_json, sealed_text
 
@@ -182,7 +182,7 @@ def write_repaired(result: PointsDiscovery, path: Path, answers: Answers | None 
         "terms": [term.model_dump(mode="json", exclude_none=True) for term in result.engine().terms],
         "beliefs": [asdict(c) for c in BELIEFS],
         "formulations": {name: _formulation(answerer) for name, answerer in answers.formulations.items()},
-        "noise": dict(NOISE),
+        "noise": dict(SETTLED_NOISE),
         "points": {name: _listed(column) for name, column in thinned(result.points).columns.items()},
         "guess": {"weights": guess.weights.tolist(), "centre": guess.centre.tolist(), "spread": guess.spread.tolist(),
                   "residual": guess.residual.tolist()},
@@ -268,7 +268,7 @@ def answers_of(result: PointsDiscovery) -> Answers:
         values = {**result.repaired.start, **found.values()}
         answerers[name] = Answerer(
             model, values, tuple(c.name for c in found.coefficients), found.covariance,
-            dict(zip(model.rows, found.discrepancy.tolist(), strict=True)), guess, NOISE,
+            dict(zip(model.rows, found.discrepancy.tolist(), strict=True)), guess, SETTLED_NOISE,
             {c.name: (c.low, c.high) for c in found.coefficients},
             local_errors(model, points, values, (guess.centre, guess.spread)),
         )  # fmt: skip

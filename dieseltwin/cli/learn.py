@@ -29,7 +29,8 @@ def learn_command(
     recordings: Annotated[
         list[Path],
         typer.Argument(
-            metavar="HEALTHY...", callback=readable, help="Recordings of the engine when it was known to be well."
+            metavar="HEALTHY...", callback=readable,
+            help="Recordings or settled points of the engine when it was known to be well.",
         ),
     ],
     out: Annotated[
@@ -51,7 +52,7 @@ def learn_command(
     params: ParamsFile = None,
     profile: Profile = "quick",
 ) -> None:
-    """Learn an engine's own maps, health and sensors from ordinary driving; learning more later adds to the file.
+    """Learn an engine's own maps, health and sensors from driving and settled points; learning more adds to the file.
 
     A petrol engine (--engine liu_petrol, or a file of its volumes) is learned from all of its recordings at once.
     """

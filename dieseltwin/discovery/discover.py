@@ -259,7 +259,8 @@ def _reference(found: Search, learned: LearnedEngine | None) -> Reference | None
         return None
     known = known_along(learned.belief, learned.errors, found.twin.variables(found.null.fit.lanes()))
     return Reference(
-        recordings=len(learned.recordings), minutes=learned.minutes, domain_share=float(known.all(axis=0).mean())
+        recordings=len(learned.recordings), minutes=learned.minutes, points=learned.points,
+        domain_share=float(known.all(axis=0).mean()),
     )
 
 

@@ -160,8 +160,20 @@ class LearnedEngine:
 
     @property
     def minutes(self) -> float:
-        """Of all recordings with the engine running [min]."""
-        return sum(item.running_s for item in self.recordings) / 60.0
+        """Of all driving with the engine running [min]."""
+        return sum(item.running_s for item in self.recordings if not item.standing) / 60.0
+
+    @property
+    def points(self) -> int:
+        """Number of settled points."""
+        return sum(len(item.pieces()) for item in self.recordings if item.standing)
+
+    @property
+    def heard(self) -> str:
+        """What it rests on, "20.0 minutes of 2 recordings and 97 settled points"."""
+        driven = sum(not item.standing for item in self.recordings)
+        parts = [f"{self.minutes:.1f} minutes of {counted(driven, 'recording')}"] if driven else []
+        return " and ".join(parts + ([counted(self.points, "settled point")] if self.points else []))
 
 
 def _effects(engine: EngineParameters) -> tuple[EffectTerm | LawTerm, ...]:
@@ -185,12 +197,11 @@ def save_learned(learned: LearnedEngine, path: Path) -> Path:
     values: dict[str, Any] = learned.engine.model_dump(mode="json")
     values["terms"] = [term.model_dump(mode="json") for term in _written_terms(learned)]
     values |= {LEARNED: target.name, SHA256: hashlib.sha256(content).hexdigest()}
-    minutes = f"{learned.minutes:.0f} minutes of {counted(len(learned.recordings), 'recording')}"
     text = yaml.safe_dump(values, sort_keys=False, allow_unicode=True, default_flow_style=None, width=100)
     made = "Learned by `dieseltwin learn`"
     if learned.repaired is not None:
         made = "Repaired by `dieseltwin discover`; learned by `dieseltwin learn`"
-    heading = f"# {made} from {minutes}; --engine accepts it.\n"
+    heading = f"# {made} from {learned.heard}; --engine accepts it.\n"
     write_text(path, sealed_text(heading + text))
     before.unlink(missing_ok=True)
     return target
@@ -313,6 +324,7 @@ def _parquet(learned: LearnedEngine) -> bytes:
                 "sha256": item.sha256, "seconds": item.duration_s, "p_amb_pa": item.p_amb_pa, "t_amb_k": item.t_amb_k,
                 "began": None if item.began is None else item.began.isoformat(), "misfit": learned.misfits[item.sha256],
                 "made": [[column, dict(needs)] for column, needs in item.made.follows.items()],  # in their order
+                **({"standing": True} if item.standing else {}),
             }
             for item in learned.recordings
         ],
@@ -363,7 +375,7 @@ def _recording(row: dict[str, Any], data: bytes) -> Recording:
     columns = {name: frame[name].to_numpy() for name in frame}
     began = None if row.get("began") is None else datetime.fromisoformat(row["began"])
     return Recording(columns["time_s"], columns, row["p_amb_pa"], row["t_amb_k"], None, row["sha256"], began=began,
-                     made=Made(dict(row.get("made", ()))))
+                     made=Made(dict(row.get("made", ()))), standing=bool(row.get("standing", False)))
 
 
 def overlap(recordings: Sequence[Recording], other: Recording) -> float:

@@ -6,6 +6,7 @@ noise is cut off on one side: with the EGR valve shut readings lie 0.4 standard 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,13 @@ from scipy.special import ndtr
 
 from dieseltwin.arrays import Array
 from dieseltwin.recordings.held import number_step, rows_between_readings
+
+SETTLED_NOISE: Mapping[str, float] = {
+    "p_im_pa": 0.005, "p_em_pa": 0.005, "omega_t_rad_s": 0.005, "w_c_kg_s": 0.01, "w_egr_kg_s": 0.02, "t_em_k": 0.01,
+}  # fmt: skip
+"""Relative standard deviation of a settled point's reading on a test bed, if none is given [-]."""
+
+FLAT = 0.5  # of the middle reading: below, a sensor's error no longer falls with what it reads
 
 _MEDIAN_BIAS = 1.01  # of a logarithm of medians over about 90 overlapping blocks, measured on 20 draws at three rho
 _LARGEST_RHO = 0.9
@@ -26,7 +34,7 @@ _ROWS_FOR_RHO = 512  # fewer rows can't tell little correlation from none
 _RHO_ERROR_OF_FEW = 0.13  # standard deviation of the estimate from 350 rows, 40 draws at three rho
 _LONGEST_BRIDGE = 4  # samples
 STEP_TO_STD = 12.0**-0.5  # of the error of rounding to a step, which is uniform
-_MAD_TO_STD = 1.482602218505602  # of a Gaussian
+MAD_TO_STD = 1.482602218505602  # of a Gaussian
 
 _FEWEST_CUT, _SHARE_CUT = 10, 0.005  # readings at the very lowest number, and of all readings
 _OVER_NEXT = 2.0  # times the readings at the next number: noise that isn't cut off thins out towards its end
@@ -85,7 +93,7 @@ def white_sigma(values: Array) -> float:
     second = second[np.isfinite(second)]
     if second.size < 3:
         return float("nan")
-    return float(_MAD_TO_STD * np.median(np.abs(second - np.median(second))) / np.sqrt(6.0))
+    return float(MAD_TO_STD * np.median(np.abs(second - np.median(second))) / np.sqrt(6.0))
 
 
 def _bridged(values: Array) -> Array:

@@ -102,6 +102,7 @@ class Recording:
         began: date of the first row [UTC], where the file's stamps say it.
         made: columns that a channel map computed from others.
         cut_from_s: first time stamp of the recording that these rows are a part of [s]; None: they are all of it.
+        standing: whether it is settled points, each held for a while (`recordings.standing`).
     """
 
     time_s: np.ndarray
@@ -114,6 +115,7 @@ class Recording:
     began: datetime | None = None
     made: Made = NOTHING
     cut_from_s: float | None = None
+    standing: bool = False
 
     @property
     def start_s(self) -> float:

@@ -12,13 +12,13 @@ import pytest
 
 from dieseltwin.calibration.calibrate import Calibration, calibrate, read_geometry
 from dieseltwin.calibration.coefficients import scalar
-from dieseltwin.calibration.likelihood import NOISE
 from dieseltwin.calibration.saved import calibration_sidecar, other_points, write_calibration
 from dieseltwin.calibration.steady_twin import SteadyTwin
 from dieseltwin.discovery.likelihood.known import KnownErrors
 from dieseltwin.discovery.twins.interface import Twin
 from dieseltwin.engine import we2011
 from dieseltwin.engine.engine_files import load_engine
+from dieseltwin.recordings.noise import SETTLED_NOISE
 from dieseltwin.recordings.steady_points import read_points
 from dieseltwin.settings.defaults import default_search
 from tests.calibration.simulated import GEOMETRY, TRUTH, made_points
@@ -31,7 +31,7 @@ UW = DATA / "uw_hd_diesel" / "steady_state_points.csv"
 @pytest.fixture(scope="module")
 def found() -> Calibration:
     """150 points with 1 % noise of an engine with 10.8 l, other wheels and other maps."""
-    return calibrate(made_points(), we2011.PARAMETERS, GEOMETRY, noise=dict.fromkeys(NOISE, 0.01))
+    return calibrate(made_points(), we2011.PARAMETERS, GEOMETRY, noise=dict.fromkeys(SETTLED_NOISE, 0.01))
 
 
 def test_coefficients_lie_within_their_intervals(found: Calibration) -> None:

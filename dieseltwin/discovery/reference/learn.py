@@ -21,6 +21,7 @@ from dieseltwin.discovery.reference.evidence import Evidence, Learned, combined
 from dieseltwin.discovery.reference.faults import main_faults
 from dieseltwin.discovery.reference.further import further_errors, gain_of
 from dieseltwin.discovery.reference.part import Linear, Part
+from dieseltwin.discovery.reference.standing_part import part_of
 from dieseltwin.discovery.reference.suspicion import Suspicion
 from dieseltwin.discovery.twins.interface import Array, Hypothesis
 from dieseltwin.engine import EngineParameters
@@ -137,7 +138,7 @@ def _begun(
     ones; all are fitted anew about those that the recordings together show, or the map stays shifted.
     """
     def fitted(engine: EngineParameters, beliefs: CircumstanceSettings) -> _Joint:
-        joint = _Joint([Part(item, engine, prior, map_rms, beliefs) for item in recordings], prior)
+        joint = _Joint([part_of(item, engine, prior, map_rms, beliefs) for item in recordings], prior)
         joint.fit(_ROUNDS, _NEAR)
         joint.whiten_anew()
         return joint
@@ -382,10 +383,8 @@ class _Joint:
             x, change = before[0], shrink * step
             for part, local in zip(self.parts, before[1], strict=True):
                 part.local = local
-            found = [
-                part.moved(at, x, rest, change)
-                for part, at, rest in zip(self.parts, self.at, before[2], strict=True)
-            ]
+            all_parts = zip(self.parts, self.at, before[2], strict=True)
+            found = [part.moved(at, x, rest, change) for part, at, rest in all_parts]
             self.x, self.residuals = x + change, [rest for _, rest in found]
             for part, (local, _) in zip(self.parts, found, strict=True):
                 part.local = local

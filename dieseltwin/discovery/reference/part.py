@@ -10,13 +10,14 @@ import numpy as np
 from dieseltwin.discovery.likelihood.between_rows import scatter_about
 from dieseltwin.discovery.likelihood.fit import first_fit, fit_fully, parameter_lanes
 from dieseltwin.discovery.likelihood.learned import map_columns, running_away
-from dieseltwin.discovery.likelihood.metric import Metric, WhitenedNuisances, Whitening
+from dieseltwin.discovery.likelihood.metric import Metric, ModelScatter, WhitenedNuisances, Whitening
 from dieseltwin.discovery.likelihood.noise import noise_of
 from dieseltwin.discovery.likelihood.score import effects_beside, secant_sizes
 from dieseltwin.discovery.likelihood.windows import bounded, settled_windows
 from dieseltwin.discovery.reference.conditions import Clock, Conditions, Exponents, recorded_twin
 from dieseltwin.discovery.search.preparation import split_growing
-from dieseltwin.discovery.twins.interface import Array, rows_of, single
+from dieseltwin.discovery.twins.diesel_circumstances import LoggedTwin
+from dieseltwin.discovery.twins.interface import Array, Lanes, rows_of, single
 from dieseltwin.engine import HEALTH, MEASURED, EngineParameters
 from dieseltwin.engine.terms import Term
 from dieseltwin.errors import InputError
@@ -84,19 +85,31 @@ class Part:
         beliefs: CircumstanceSettings | None = None,
     ) -> None:  # fmt: skip
         self.sha256, self.name = recording.sha256, str(recording.path or "recording")
-        self.twin = recorded_twin(recording, engine, map_rms, beliefs)
+        self.twin = self._bound(recording, engine, map_rms, beliefs)
         self.conditions = Conditions(self.twin)
         self.at = [MEASURED.index(name) for name in self.twin.channels]
-        twin = self.twin
-        whitening = Whitening.of(twin.measured, noise_of(twin), twin.starts)
-        rough = fit_fully(twin, whitening, first_fit(twin), rounds=_ROUGH_ROUNDS)
+        self._scatter = ModelScatter()
+        rough = fit_fully(self.twin, self._whitening(), first_fit(self.twin), rounds=_ROUGH_ROUNDS)
         start = split_growing(rough) or rough.fit
         self._first = start.local
         self.begin(prior)
         self.health = rough.fit.parameters
-        self._scatter = scatter_about(twin, start.lanes())
-        self.whitening = Whitening.of(twin.measured, noise_of(twin), twin.starts, self._scatter)
-        self.left_out = np.zeros(twin.starts.size, dtype=bool)
+        self._scatter = self._scatter_about(self.twin, start.lanes())
+        self.whitening = self._whitening()
+        self.left_out = np.zeros(self.twin.starts.size, dtype=bool)
+
+    def _bound(
+        self, recording: Recording, engine: EngineParameters, map_rms: float, beliefs: CircumstanceSettings | None
+    ) -> LoggedTwin:
+        return recorded_twin(recording, engine, map_rms, beliefs)
+
+    def _scatter_about(self, twin: LoggedTwin, lanes: Lanes) -> ModelScatter:
+        return scatter_about(twin, lanes)
+
+    def _whitening(self, explained: Array | None = None) -> Whitening:
+        """By the noise beside what the readings scatter by; explained: a model's readings (n, C), or None."""
+        noise = noise_of(self.twin, explained, self._scatter.windows)
+        return Whitening.of(self.twin.measured, noise, self.twin.starts, self._scatter)
 
     def begin(self, prior: Belief) -> None:
         """Take points to be about a prior, and the initial states as the fit of health alone has them."""
@@ -118,8 +131,7 @@ class Part:
     def whiten_anew(self, here: Linear, x: Array, residual: Array) -> None:
         """Estimate the noise from what the simulation at a point leaves, in the circumstances that readings show."""
         explained = self.shown(x, self.local) + here.elsewhere(residual)
-        noise = noise_of(self.twin, explained, self._scatter.windows)
-        self.whitening = Whitening.of(self.twin.measured, noise, self.twin.starts, self._scatter)
+        self.whitening = self._whitening(explained)
 
     def leave_out(self, windows: np.ndarray) -> None:
         """Use some windows (W,) no longer."""
@@ -142,7 +154,7 @@ class Part:
         self.twin = other
         values = self._values(x)
         twin = other.with_coefficients(values[MAPS_AT])
-        self._scatter = scatter_about(twin, single(values[HEALTH_AT], self.local))
+        self._scatter = self._scatter_about(twin, single(values[HEALTH_AT], self.local))
         return replace(here, applied=self.conditions.applied(other))
 
     def clocks(self, here: Linear, residual: Array) -> tuple[Clock, ...]:

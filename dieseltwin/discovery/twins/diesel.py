@@ -84,6 +84,7 @@ class EngineTwin:
     own_schedules = True
     """Lanes may have schedules of their own."""
     courses = True
+    window_s = WINDOW_S
     between_rows = False
     """Whether inputs may have moved between rows that aren't slow: with a covariance as it was first, a slow guess."""
     known_between: tuple[Array, ...] = ()
@@ -111,7 +112,7 @@ class EngineTwin:
             raise InputError(f"{recording.path or 'recording'}: sensors", ", ".join(missing) or "none",
                              ", ".join(MEASURED), "name columns that the recording has")
         self.engine = engine.replace(p_amb=recording.p_amb_pa, T_amb=recording.t_amb_k)
-        rows, self.starts, self.pieces = windows_of(recording, WINDOW_S)
+        rows, self.starts, self.pieces = windows_of(recording, self.window_s)
         self.rows = rows
         self.recording_time_s = time = recording.time_s[rows]
         self.start_s = recording.start_s
@@ -120,7 +121,7 @@ class EngineTwin:
         columns = recording.columns
         nothing = np.full(recording.time_s.size, np.nan)
         readings = np.stack([columns.get(c, nothing)[rows] for c in MEASURED], axis=1).astype(np.float64)
-        self._cut_offs = cut_offs(readings[:, self._at])
+        self._cut_offs = {} if recording.standing else cut_offs(readings[:, self._at])
         self.all_readings = readings if belief is None else belief.truthful(readings)
         measured = self.all_readings[:, self._at].copy()
         for start in self.pieces[1:]:

@@ -180,7 +180,7 @@ class LoggedTwin(EngineTwin):
         self, engine: EngineParameters, values: Mapping[str, float], opened: frozenset[str], like: bool
     ) -> LoggedTwin:
         recording, _, sensors, map_tolerance, belief = self._read
-        other = LoggedTwin(recording, engine, sensors, map_tolerance=map_tolerance, belief=belief, beliefs=self.beliefs,
+        other = type(self)(recording, engine, sensors, map_tolerance=map_tolerance, belief=belief, beliefs=self.beliefs,
                            values=values, opened=opened, like=self if like else None)  # fmt: skip
         other.between_rows, other.known_between = self.between_rows, self.known_between
         if like:

@@ -303,14 +303,15 @@ def check_recording(
     Raises:
         InputError: the recording can't carry a verdict, or the engine file is another engine's.
     """
-    check_length(recording)
+    if not recording.standing:
+        check_length(recording)
     check_rows(recording)
     used = check_sensors(recording, sensors)
     check_excitation(recording, engine)
     factor = check_engine(recording, engine)
     notes = []
     seconds = recording.running_s
-    if seconds < COMFORTABLE_S:
+    if seconds < COMFORTABLE_S and not recording.standing:
         notes.append(Note(f"{seconds:.0f} s of driving; with 600 s most limits would be lower (five times the driving "
                           "lowered them by 1.2 to 4 times)", "short"))  # fmt: skip
     learned = corrections_in(engine.terms) is not None  # by so much its reference breathed differently as well

@@ -152,11 +152,12 @@ class FoundEffect(FrozenModel):
 
 
 class Reference(FrozenModel):
-    """What the engine was learned from: number of recordings, their minutes, and the share of the judged recording's
-    samples in which every map is known from them."""
+    """What the engine was learned from: number of recordings, their minutes, the settled points among them, and the
+    share of the judged recording's samples in which every map is known from them."""
 
     recordings: int = Field(ge=1)
     minutes: NotNegative
+    points: int = Field(default=0, ge=0)
     domain_share: Probability
 
 

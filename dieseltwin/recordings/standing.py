@@ -1,0 +1,62 @@
+"""Settled points as recordings in which the engine stands still at one point after another.
+
+What a settled point says of an engine is what a simulation at its inputs comes to rest at. So a point is held for
+`HOLD_S`, long enough for the turbocharger to forget where it began, and its readings count once, at the end.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dieseltwin.errors import InputError
+from dieseltwin.notes import counted
+from dieseltwin.recordings.channels import DIESEL_COLUMNS, TIME
+from dieseltwin.recordings.columns import Columns
+from dieseltwin.recordings.named_columns import columns_sha256
+from dieseltwin.recordings.reader import Recording
+from dieseltwin.recordings.steady_points import SteadyPoints
+
+HOLD_S = 16.0
+"""Four to eight time constants of a turbocharger at light load [s]. It begins at its reading, next to where it ends."""
+
+_PERIOD_S = 100.0  # from point to point; the hole between two is a break in any recording
+_SAME_PRESSURE_PA, _SAME_TEMPERATURE_K = 1000.0, 6.0  # of the weather of one recording, which is its median
+_MOST_WEATHERS = 6  # each is fitted its own circumstances
+_FEWEST = 5
+
+
+def standing(points: SteadyPoints) -> list[Recording]:
+    """The points as recordings, one for each weather; readings stand in every row.
+
+    Raises:
+        InputError: fewer than five points, or weather that changes from point to point.
+    """
+    where = str(points.path or "points")
+    if points.size < _FEWEST:
+        raise InputError(where, counted(points.size, "settled point"), f"{_FEWEST} or more", "measure more points")
+    p_amb, t_amb = points["p_amb_pa"], points["t_amb_k"]
+    weather = np.stack([np.round(p_amb / _SAME_PRESSURE_PA), np.round(t_amb / _SAME_TEMPERATURE_K)], axis=1)
+    if np.ptp(p_amb) <= _SAME_PRESSURE_PA and np.ptp(t_amb) <= _SAME_TEMPERATURE_K:
+        weather[:] = 0.0  # rounding may part what is near
+    days, of_day = np.unique(weather, axis=0, return_inverse=True)
+    if len(days) > _MOST_WEATHERS:
+        raise InputError(
+            where, f"points in {len(days)} weathers ({np.ptp(t_amb):.0f} K and {np.ptp(p_amb) / 1e3:.1f} kPa apart)",
+            f"{_MOST_WEATHERS} at most (each within {_SAME_TEMPERATURE_K:g} K and {_SAME_PRESSURE_PA / 1e3:g} kPa)",
+            "learn from the points of some days at a time",
+        )  # fmt: skip
+    return [_held(points, np.flatnonzero(of_day.ravel() == day)) for day in range(len(days))]
+
+
+def _held(points: SteadyPoints, which: NDArray[np.int_]) -> Recording:
+    rows = round(HOLD_S) + 1
+    names = [name for name in DIESEL_COLUMNS if name in points]
+    time_s: NDArray[np.float64] = np.asarray(np.arange(which.size)[:, None] * _PERIOD_S + np.arange(rows)).ravel()
+    columns: dict[str, NDArray[np.float64]] = {TIME: time_s}
+    columns |= {name: np.repeat(points[name][which], rows) for name in names}
+    return Recording(
+        time_s, Columns(columns), float(np.median(points["p_amb_pa"][which])),
+        float(np.median(points["t_amb_k"][which])), points.path, columns_sha256(columns),
+        points.notes, standing=True,
+    )  # fmt: skip

@@ -1,0 +1,87 @@
+"""Settled points as a reference, by themselves and beside driving: what they teach is what `simulate` comes to rest at."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import dieseltwin as dt
+from dieseltwin.api.learning import LearnedResult
+from dieseltwin.engine import MEASURED, EngineParameters, Inputs, we2011
+from dieseltwin.engine import simulate as simulated
+from dieseltwin.errors import InputError
+from dieseltwin.learning.files import load_learned
+from dieseltwin.recordings.noise import SETTLED_NOISE
+from dieseltwin.recordings.standing import HOLD_S, standing
+from dieseltwin.recordings.steady_points import points
+from tests.api.simulated import drive
+
+OWN = we2011.PARAMETERS.replace(eta_cmax=0.72, A_egrmax=3.6e-4)
+INPUTS = ("n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")
+
+
+def settled(engine: EngineParameters, count: int, seed: int) -> pd.DataFrame:
+    """Operating points at which the simulated engine rests, with noise as on a test bed."""
+    rng = np.random.default_rng(seed)
+    u = rng.uniform([900.0, 60.0, 10.0, 30.0], [1800.0, 160.0, 60.0, 60.0], (count, 4))
+    table = pd.DataFrame(u, columns=list(INPUTS))
+    readings = at_rest(engine, table)
+    for name in MEASURED:
+        table[name] = readings[name].to_numpy() * (1.0 + SETTLED_NOISE[name] * rng.standard_normal(count))
+    return table.assign(p_amb_pa=engine.p_amb, t_amb_k=engine.T_amb)
+
+
+def at_rest(engine: EngineParameters, table: pd.DataFrame) -> pd.DataFrame:
+    """What the engine's own simulation comes to rest at."""
+    held = (Inputs(np.array([0.0, 0.2]), *(np.full(2, value) for value in row)) for row in table[list(INPUTS)].to_numpy())
+    return pd.concat([simulated(one, engine, oxygen=False).iloc[[-1]] for one in held])
+
+
+def test_an_engine_is_learned_from_settled_points_alone(tmp_path: Path) -> None:
+    given, later = settled(OWN, 40, 3), settled(OWN, 12, 4)
+    given.to_csv(tmp_path / "points.csv", index=False)
+    found = dt.learn(tmp_path / "points.csv")
+    assert isinstance(found, LearnedResult)
+    assert found.sentence.startswith("Learned from 40 settled points; maps corrected: ")
+    assert "learned from 40 settled points" in found.lines()
+    known = load_learned(found.save(tmp_path / "mine.yaml"))
+    assert known is not None and known.points == 40 and known.minutes == 0.0
+    assert "from 40 settled points" in (tmp_path / "mine.yaml").read_text().splitlines()[0]
+    before, after = at_rest(we2011.PARAMETERS, later), at_rest(known.engine, later)
+    for name in ("p_im_pa", "p_em_pa", "omega_t_rad_s", "w_c_kg_s", "w_egr_kg_s"):
+        left = [float(np.median(np.abs(some[name].to_numpy() / later[name] - 1.0))) for some in (before, after)]
+        assert left[1] < max(0.4 * left[0], 1.5 * SETTLED_NOISE[name]), (name, left)
+
+
+def test_points_and_driving_in_any_order_are_one_reference(tmp_path: Path) -> None:
+    given, driven = settled(OWN, 12, 5), drive(100.0, OWN)
+    found = dt.learn([given, driven])
+    assert isinstance(found, LearnedResult)
+    assert found.sentence.startswith("Learned from 1.7 minutes of 1 recording and 12 settled points; ")
+    file = dt.learn(given).save(tmp_path / "mine.yaml")
+    more = dt.learn([driven, given], file)  # the points again: they count once
+    assert isinstance(more, LearnedResult)
+    np.testing.assert_array_equal(more.known.belief.mean, found.known.belief.mean)
+    np.testing.assert_array_equal(more.known.belief.covariance, found.known.belief.covariance)
+
+
+def test_points_of_two_days_are_two_recordings() -> None:
+    table = settled(OWN, 8, 6)
+    table["t_amb_k"] = [288.0] * 4 + [305.0] * 4
+    days = standing(points(table, needed=()))
+    assert [(len(day.pieces()), day.t_amb_k) for day in days] == [(4, 288.0), (4, 305.0)]
+    assert all(day.standing and np.ptp(day.time_s[piece]) == HOLD_S for day in days for piece in day.pieces())
+    np.testing.assert_array_equal(days[1].columns["p_im_pa"][:: int(HOLD_S) + 1], table["p_im_pa"][4:])
+
+
+def test_what_no_reference_can_be_made_of_is_refused() -> None:
+    table = settled(OWN, 8, 7)
+    with pytest.raises(InputError, match="4 settled points; allowed: 5 or more"):
+        standing(points(table[:4], needed=()))
+    with pytest.raises(InputError, match="points in 8 weathers .* learn from the points of some days at a time"):
+        standing(points(table.assign(t_amb_k=np.linspace(263.0, 313.0, 8)), needed=()))
+    with pytest.raises(InputError, match="column w_egr_kg_s: got none"):
+        dt.learn(table.drop(columns="w_egr_kg_s"))
