@@ -11,9 +11,11 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dieseltwin.calibration.believable import unbelievable
 from dieseltwin.calibration.calibrate import Calibration, Fit, counted_rows, submodel_fits
@@ -26,7 +28,7 @@ from dieseltwin.calibration.coefficients import (
 )
 from dieseltwin.calibration.formulations import formulations
 from dieseltwin.calibration.held_out import Foretold, foretold
-from dieseltwin.calibration.lasting_errors import map_corrections
+from dieseltwin.calibration.lasting_errors import corrections_left, map_corrections
 from dieseltwin.calibration.likelihood import FULL_ITERATIONS, Estimate, estimate
 from dieseltwin.calibration.onsets import Onset, onset_of
 from dieseltwin.calibration.own_pipes import BACK_PRESSURE, beside_own_pipes
@@ -177,16 +179,26 @@ class PointsDiscovery:
                  if name != CHARGE_OFFSET)
         return (*named, *self.law_terms)
 
+    @cached_property
+    def corrections(self) -> NDArray[np.float64]:
+        """Corrections of the maps (K,) beside those that the engine had: as a reference told them, else what is left at
+        the points [-]."""
+        here, believed = self.repaired, self.options.search
+        told = map_corrections(here.points, here.model, here.start, believed)
+        if told is not None:
+            return told
+        counted = counted_rows(here.model, here.estimate.coefficients)
+        errors = zip(here.model.rows, here.estimate.discrepancy.tolist(), strict=True)
+        left = {row: error for row, error in errors if row in counted}
+        return corrections_left(here.points, here.model, here.start, believed, left)
+
     def engine(self) -> EngineParameters:
         """The repaired machine: fitted coefficients, the found terms beside those that the engine had, and the
-        corrections of its maps that a reference told."""
-        here = self.repaired
+        corrections of its maps."""
         terms = (*self.calibration.engine.terms, *self.terms())
-        told = map_corrections(here.points, here.model, here.start, self.options.search)
-        if told is not None:
-            known = corrections_in(terms)
-            terms = with_corrections(terms, told if known is None else known + told)
-        return worn(here.engine, here.start).replace(terms=terms)
+        known = corrections_in(terms)
+        terms = with_corrections(terms, self.corrections if known is None else known + self.corrections)
+        return worn(self.repaired.engine, self.repaired.start).replace(terms=terms)
 
 
 def _term(name: str, magnitude: float, std: float, values: Mapping[str, float]) -> OneTerm:
