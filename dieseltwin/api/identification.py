@@ -146,9 +146,9 @@ class Identified(Result):
         with atomic_folder(out, owned=OPTIONAL_RESULTS) as folder:
             name = self.provenance.get("recording", "")
             states = self.found.states  # worked out once, before the figures want them in a process of their own
-            drawn_beside = begin_beside(_write_page, self.found, self.problems, self.document, folder, name)
-            write_json(folder / "identification.json",
-                       sealed_json({**self.document, "warnings": self.warnings}))
+            told = {**self.document, "warnings": self.warnings}
+            drawn_beside = begin_beside(_write_page, self.found, self.problems, told, folder, name)
+            write_json(folder / "identification.json", sealed_json(told))
             runtime = {**self.found.runtime(), **self.provenance, "notes": list(self.notes)}
             write_json(folder / "runtime.json", sealed_json(runtime))
             states.to_parquet(folder / "states.parquet", index=False, write_page_checksum=True)

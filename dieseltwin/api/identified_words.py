@@ -13,6 +13,7 @@ from dieseltwin.discovery.verdict.health_value import SinceReference
 from dieseltwin.engine import HEALTH_UNITS
 from dieseltwin.identification.result import intervals_from_log_std
 from dieseltwin.notes import Note, counted
+from dieseltwin.report.quantities import value_with_std
 
 MISFIT = 2.0  # chi-square a sample from which the noise or the model is clearly not what was assumed
 MOSTLY_STUCK = 0.5  # share of fits without convergence that is worth a warning: single starts are lost now and then
@@ -75,7 +76,7 @@ def _since(entry: Mapping[str, Any]) -> SinceReference | None:
 
 
 def _listed(entries: Mapping[str, Mapping[str, Any]]) -> str:
-    return ", ".join(f"{name} {entry['mean']:.4g} ± {entry['std']:.2g}" for name, entry in entries.items())
+    return ", ".join(f"{name} {value_with_std(name, entry['mean'], entry['std'])}" for name, entry in entries.items())
 
 
 def text_table(document: Mapping[str, Any]) -> list[str]:

@@ -71,7 +71,7 @@ class RigDiscovered(Discovered):
         return sentence(self.found, self.document)
 
     def lines(self) -> list[str]:
-        codes = {LONG_STEPS, HOLD, READING, LEFT} | ({UNEXPLAINED} if self.document.mismatch else set())
+        codes = {LONG_STEPS, HOLD, READING} | ({LEFT, UNEXPLAINED} if self.document.mismatch else set())
         said = [doubt for doubt in self.document.warnings if doubt.code in codes]  # the sentence says the others
         notes = [Note(doubt.text, doubt.code) for doubt in said]
         unexplained = UNEXPLAINED in [doubt.code for doubt in self.document.warnings]

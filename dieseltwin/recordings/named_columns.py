@@ -21,6 +21,7 @@ from dieseltwin.recordings.importers.layout import told_unit
 from dieseltwin.recordings.importers.numeric_clocks import in_seconds
 from dieseltwin.recordings.importers.read import read_raw
 from dieseltwin.recordings.raster import on_one_raster, quantities
+from dieseltwin.recordings.stated_units import against_stated
 
 LIKE_TIME = ("time", "t_s", "t [", "zeit", "uhrzeit", "sekunden", "seconds")
 """Beginnings of names that a column of time may have in a file that nobody mapped."""
@@ -103,19 +104,23 @@ def import_columns(
     if isinstance(source, pd.DataFrame):
         table = with_index(source)
         by_seconds, units, notes = in_seconds(table, "table")
+        stated = against_stated(units, mapping, "the table")
         columns, coded = _renamed(by_seconds, mapping, "the table")
-        return Imported(columns, (*notes, *coded), first_stamp(table), made=mapping.made, units=units)
+        return Imported(columns, (*notes, *stated, *coded), first_stamp(table), made=mapping.made, units=units)
     path = Path(source)
     wanted = {*mapping.entries, *known_columns()} if mapping.entries else None
     raw = read_raw(path, mapping.database, wanted)
     if raw.table is None and any(name not in raw.signals for name in mapping.entries):
         raw = read_raw(path, mapping.database)  # for the message: every name that the file has
     if raw.table is None:
+        stated = against_stated({name: signal.unit for name, signal in raw.signals.items()}, mapping, str(path))
         signals, coded = quantities(raw, mapping)
         columns, notes = on_one_raster(signals, str(path))
-        return Imported(columns, (*raw.notes, *coded, *notes), raw.began, path, file_sha256(path), mapping.made)
+        said = (*raw.notes, *stated, *coded, *notes)
+        return Imported(columns, said, raw.began, path, file_sha256(path), mapping.made)
+    stated = against_stated(raw.units, mapping, str(path))
     columns, coded = _renamed(raw.table, mapping, str(path))
-    return Imported(columns, (*raw.notes, *coded), raw.began, path, file_sha256(path), mapping.made, raw.units)
+    return Imported(columns, (*raw.notes, *stated, *coded), raw.began, path, file_sha256(path), mapping.made, raw.units)
 
 
 def named_columns(

@@ -43,6 +43,7 @@ def identification_sections(results: Results, drawn: Drawn = drawn_here) -> list
     return [
         Section("readings-over-time", "Readings over time",
                 series=None if series is None else replace(series, drawn=figures["readings"])),
+        Section("doubts", "What is doubtful", tables=(_doubts(results),)),
         Section("parameters", "Health parameters", kept_of(figures, "map", "violins", "close"),
                 tables=(_segments(results),)),
         Section("accuracy", "Accuracy", kept_of(figures, "bound")),
@@ -64,7 +65,8 @@ def identification_page(results: Results, sections: Sequence[Section]) -> Page:
     given = [Markup(" <b>{}</b>: {}.").format(label, words) for label, words in _given(results)]
     return Page(
         title=str(results.about.get("title") or "Engine health from a recording"), about=_about_line(results),
-        headline=Markup(headline(results)), alarm=False, note=Markup("").join([Markup.escape(reading), *given]),
+        headline=Markup(headline(results)), alarm=any(method.misfit for method in results.methods),
+        note=Markup("").join([Markup.escape(reading), *given]),
         tables=(_summary(results), *_beside_tolerances(results)), sections=sections,
         provenance=_provenance(results), machine=_machine(results), source=SOURCE,
     )  # fmt: skip
@@ -103,6 +105,13 @@ def _summary(results: Results) -> Table:
             rows.append(line)
             first = ""
     return Table(heads, rows, words=(0, 1), grouped=True)
+
+
+def _doubts(results: Results) -> Table:
+    """Every warning of the methods, once."""
+    told = {str(doubt["text"]): doubt for method in results.methods for doubt in method.warnings}
+    rows = [(str(doubt["code"]), text, ", ".join(doubt["affects"]) or EMPTY) for text, doubt in told.items()]
+    return Table(("kind", "what", "about"), rows, words=(0, 1, 2), long=(1,))
 
 
 def _told(parameter: str, mean: float, std: float, low: float, high: float) -> list[str | Markup]:

@@ -23,6 +23,7 @@ from dieseltwin.settings.methods import known
 from dieseltwin.symbols import HEALTH_NAMES
 
 PARAMETERS = HEALTH_NAMES
+_OF_THE_FIT = ("misfit", "residuals")  # codes of warnings that stand before the numbers
 _WRITTEN = ("a JSON document", "write it again with `dieseltwin identify`")
 
 
@@ -64,6 +65,7 @@ class MethodResult:
 
     ``runs`` is a long table (segment, run, parameter, value [SI], converged); ``states`` and ``curves`` may be absent.
     ``with_tolerances`` are health parameters of a fit beside tolerances of maps and sensors, where there was one.
+    ``warnings`` are the document's: code, text, affects.
     """
 
     method: str
@@ -75,6 +77,12 @@ class MethodResult:
     curves: pd.DataFrame | None = None
     settings: Mapping[str, Any] = field(default_factory=dict)
     with_tolerances: Mapping[str, Estimate] = field(default_factory=dict)
+    warnings: tuple[Mapping[str, Any], ...] = ()
+
+    @property
+    def misfit(self) -> str:
+        """That the twin doesn't fit the recording, in a sentence without its full stop; empty where it does."""
+        return next((str(doubt["text"]) for doubt in self.warnings if doubt["code"] in _OF_THE_FIT), "")
 
     @property
     def number_of_runs(self) -> int:
@@ -203,7 +211,7 @@ def method_from_document(
         )
         for entry in document["segments"]
     )
-    known = {"schema", "method", "parameters", "segments", "runs", "with_tolerances"}
+    known = {"schema", "method", "parameters", "segments", "runs", "with_tolerances", "warnings", "content_sha256"}
     return MethodResult(
         method=str(document["method"]),
         pooled={p: _estimate(document["parameters"].get(p) or {}) for p in PARAMETERS},
@@ -214,6 +222,7 @@ def method_from_document(
         curves=curves,
         settings={key: value for key, value in document.items() if key not in known},
         with_tolerances={p: _estimate(entry) for p, entry in document.get("with_tolerances", {}).items()},
+        warnings=tuple(document.get("warnings", ())),
     )
 
 

@@ -24,7 +24,7 @@ from dieseltwin.rigs.expressions import names_in
 from dieseltwin.rigs.parameters import RigParameters
 from dieseltwin.rigs.recording import RigRecording
 from dieseltwin.rigs.simulate import simulate_rig
-from dieseltwin.rigs.verdict import shares, unseen
+from dieseltwin.rigs.verdict import LEFT, shares, unseen
 
 SIMULATED = ("simulated, as the file is", "simulated, repaired")
 HELD_OUT = ("The last part in free runs of machines that were fitted to what comes before: nothing of it was seen by a "
@@ -141,7 +141,7 @@ def rig_page(found: RigDiscovery, document: Discrepancy, words: str) -> Page:
         title=findings.heading(document),
         about=f"{rig.name} · recording: {Path(recording.path).name} · {seconds:.4g} s · {len(rig.readings)} reading"
         f"{'' if len(rig.readings) == 1 else 's'}",
-        headline=escape(words), alarm=document.mismatch,
+        headline=escape(words), alarm=document.mismatch or any(doubt.code == LEFT for doubt in document.warnings),
         findings=findings.findings(document, shares(found), findings.as_it_is, found.begun),
         cards=law_cards(document, lambda effect: told(rig, effect)),
         tables=(findings.places(document), findings.levels(document, "parameter", units),

@@ -5,7 +5,9 @@ Tables hold raw SI numbers; formatting happens last, so that a test can compare 
 
 from __future__ import annotations
 
+import html
 import math
+import re
 from collections.abc import Mapping, Sequence
 
 import pandas as pd
@@ -205,14 +207,19 @@ def _values(results: Results, estimates: Mapping[str, Estimate]) -> list[str]:
     return values
 
 
+def _as_sentence(text: str) -> str:
+    """A warning's text as the beginning of a sentence (HTML), commands in it as code."""
+    return re.sub(r"`([^`]*)`", r"<code>\1</code>", html.escape(text[:1].upper() + text[1:], quote=False))
+
+
 def headline(results: Results) -> str:
-    """One paragraph (HTML) in words: what was found, how sure, where nothing can be said, how, and how long it took."""
+    """One paragraph (HTML): whether the twin fits, what was found, how surely, what can't be said, how, how long."""
     method = headline_method(results)
     values, beside = _values(results, method.pooled), _values(results, method.with_tolerances)
     label = style.method_style(method.method).label
     count = len(method.segments)
     source = f"{_duration(method.segments)} of driving ({count} segment{'s' if count != 1 else ''})"
-    sentences = []
+    sentences = [f"{_as_sentence(method.misfit)}."] if method.misfit else []
     if beside:
         sentences.append(
             f"From {source}, beside what maps and sensors may be off by: {listing(beside)}. "

@@ -94,13 +94,17 @@ def _judged(result: RigDiscovery) -> list[Round]:
 
 
 def _left_notes(result: RigDiscovery) -> list[Note]:
-    """Readings of which free runs of the machine with what was found leave several times the noise: what is named may
-    be part of what is missing."""
+    """Readings of which the machine leaves several times the noise: in free runs with what was found, as what is named
+    may be part of what is missing; in its fit where nothing was found, as that is no proof of health."""
     judged = _judged(result)
-    if result.more_is_missing or not judged:
+    if result.more_is_missing:
         return []
     twin: RigTwin = result.fit_after.twin  # type: ignore[assignment]
     noise = np.maximum(estimate_noise(twin.measured).sigma, twin.floors)
+    if not judged:
+        left = np.sqrt(np.nanmean(result.fit_after.residual**2, axis=0))
+        return [Note(f"the fit misses {name} by {off:.3g} (rms), {off / own:.2g} times its noise", LEFT, [name])
+                for name, off, own in zip(twin.channels, left, noise, strict=True) if off > LOUD * own]
     errors = zip(twin.channels, judged[-1].after, noise, strict=True)
     return [Note(f"free runs of the repaired machine miss {name} by {off:.3g} (rms), {off / own:.2g} times its noise: "
                  "what is found isn't all that is missing, or stands for something that the file has no name for",
@@ -260,6 +264,10 @@ def sentence(result: RigDiscovery, found: Discrepancy) -> str:
         unexplained = [doubt.text for doubt in found.warnings if doubt.code == UNEXPLAINED]
         if unexplained:
             return f"Nothing can be said of {name}: {'; '.join(unexplained)}."
+        missed = [doubt.text for doubt in found.warnings if doubt.code == LEFT]
+        if missed:
+            return (f"Nothing was found that {name} leaves out and that has a name or a law, but {listing(missed)}: "
+                    "something is missing, or moves within the recording.")
         left = ", ".join(_measured(result, column, f"{rmse:.3g}") for column, rmse in found.fit.rmse_after.items())
         return f"No mismatch of {name} beyond what its recording can tell; its fit leaves {left} (rms)."
     told = []

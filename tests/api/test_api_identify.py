@@ -33,8 +33,8 @@ def test_function_and_command_find_and_write_the_same(
     mean, std, low, high = table.loc["A_egrmax", ["mean", "std", "low", "high"]]
     assert low < mean < high and abs(mean - 3e-4) < 4.0 * std and mean < 3.2e-4
     assert (table["segments"] == 2).any()
-    assert found.sentence.startswith("classical, 2 segments: beside tolerances of maps and sensors A_egrmax 0.00029")
-    assert "; with exact ones A_egrmax 0.00029" in found.sentence
+    assert found.sentence.startswith("classical, 2 segments: beside tolerances of maps and sensors A_egrmax 29")
+    assert "; with exact ones A_egrmax 29" in found.sentence and found.sentence.count(" mm²") == 4
     assert "not identifiable" not in str(found) and "<table" in found._repr_html_()
     assert found.plot("states").axes
     # the figures are drawn by the command's own tests

@@ -11,6 +11,7 @@ import pytest
 import stored_results as synthetic
 
 from dieseltwin.report import quantities
+from dieseltwin.report.html import identification_page, identification_sections
 from dieseltwin.report.results import PARAMETERS, Results, load_results, method_from_document
 from dieseltwin.report.statistics import autocorrelation
 from dieseltwin.report.tables import headline, segment_table, summary_table, summary_text
@@ -94,6 +95,19 @@ def test_headline_begins_with_health_beside_tolerances_where_it_was_fitted() -> 
     text = quantities.value_with_std("eta_sc", entry["mean"], 5.0 * entry["std"])
     assert text in beside and "maps and sensors may be off by" in beside and "<i>h</i>" not in beside
     assert "<b>classical</b> finds" in alone
+
+
+def test_a_twin_that_does_not_fit_is_said_before_the_numbers() -> None:
+    document = synthetic.document("classical")
+    document["warnings"] = [{"code": "reading", "text": "read with decimal comma", "affects": []},
+                            {"code": "misfit", "text": "the twin doesn't fit: see `discover`", "affects": []}]
+    results = Results(methods=(method_from_document(document),), nominal=synthetic.NOMINAL)
+    assert headline(results).startswith("The twin doesn't fit: see <code>discover</code>. From ")
+    page = identification_page(results, identification_sections(results))
+    doubts = next(section for section in page.sections if section.id == "doubts")
+    assert page.alarm and [row[0] for row in doubts.tables[0].rows] == ["reading", "misfit"]
+    fits = Results(methods=(method_from_document(synthetic.document("classical")),), nominal=synthetic.NOMINAL)
+    assert headline(fits).startswith("From ") and not identification_page(fits, []).alarm
 
 
 def test_disagreeing_method_is_named() -> None:

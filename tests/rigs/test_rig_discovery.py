@@ -82,6 +82,14 @@ def test_a_name_that_leaves_several_times_the_noise_says_so() -> None:
     assert found.document.mismatch and "residuals" not in [item.code for item in found.document.warnings]
 
 
+def test_a_misfit_without_a_name_or_a_law_is_no_clean_bill() -> None:
+    """An offset of the sensor since 25 s, for which the file has no name, was "no mismatch"."""
+    found = dt.discover(driven().assign(v_m_s=lambda t: t["v_m_s"] + 0.2 * (t["time_s"] > 25.0)), rig())
+    assert not found.document.effects and "something is missing" in found.sentence
+    (doubt,) = [item for item in found.document.warnings if item.code == "residuals"]
+    assert doubt.text in found.sentence and "times its noise" in doubt.text
+
+
 def test_a_recording_that_is_not_the_machines_is_no_clean_bill() -> None:
     """Speeds in mm/s under a name in m/s were "no mismatch": no effect has such a size."""
     foreign = driven().assign(v_m_s=lambda t: 1000.0 * t["v_m_s"])

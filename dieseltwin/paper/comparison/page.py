@@ -25,6 +25,7 @@ def sections(results: Results) -> list[Section]:
     learning = known["training"]
     return [
         known["readings-over-time"],
+        known["doubts"],
         Section("driving", "Driving", words="The driving that the data sets are made of.", pictures=pictures),
         known["parameters"],
         replace(known["accuracy"], tables=paper_rows(results)),

@@ -24,11 +24,12 @@ from dieseltwin.recordings.guess.physics import (
     unchecked_positions,
 )
 from dieseltwin.recordings.guess.reading import Reading, reading_of
-from dieseltwin.recordings.guess.units import Unit, understood
 from dieseltwin.recordings.guess.unnamed import FINER, Option, assigned
 from dieseltwin.recordings.importers.j1939 import ENGINE_ADDRESSES, ENGINE_SPEED
 from dieseltwin.recordings.importers.layout import without_unit
 from dieseltwin.recordings.importers.signals import RawChannels, Signal
+from dieseltwin.recordings.stated_units import PER_SECOND
+from dieseltwin.recordings.unit_spellings import Unit, understood
 from dieseltwin.settings.names import listed
 from dieseltwin.symbols import BY_COLUMN
 
@@ -201,10 +202,10 @@ def _said(fact: Facts, words: str, spn: int | None, cylinders: int, names: Vocab
         score = meaning.score(fact.name, words, spn)
         if score <= 0.0:
             continue
-        own = _own_unit(fact, meaning)
-        if own is None and unit is None and spn is None and not set(meaning.dimensions) & names.kinds_of(words):
+        stated = _own_unit(fact, meaning, unit) or unit
+        if stated is None and spn is None and not set(meaning.dimensions) & names.kinds_of(words):
             continue
-        reading = reading_of(fact, meaning, own or unit, words, cylinders)
+        reading = reading_of(fact, meaning, stated, words, cylinders)
         if reading is None:
             continue
         score *= reading.factor
@@ -218,9 +219,12 @@ def _said(fact: Facts, words: str, spn: int | None, cylinders: int, names: Vocab
     return found
 
 
-def _own_unit(fact: Facts, meaning: Meaning) -> Unit | None:
-    """The unit that our own column names carry."""
-    return understood(unit_of(meaning.column)) if fact.name.lower() == meaning.column else None
+def _own_unit(fact: Facts, meaning: Meaning, stated: Unit | None) -> Unit | None:
+    """The unit that our own column names carry, unless the file states another one of the same kind."""
+    if fact.name.lower() != meaning.column:
+        return None
+    contradicted = stated is not None and stated.dimension in meaning.dimensions and stated.ours != PER_SECOND
+    return None if contradicted else understood(unit_of(meaning.column))
 
 
 def _assigned(candidates: Sequence[Candidate]) -> dict[str, Candidate]:

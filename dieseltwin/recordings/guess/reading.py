@@ -12,7 +12,7 @@ from dieseltwin.recordings.channels import ChannelEntry, unit_of
 from dieseltwin.recordings.derived import DERIVATIONS, STAND_IN_PA
 from dieseltwin.recordings.guess.facts import Facts
 from dieseltwin.recordings.guess.names import Meaning
-from dieseltwin.recordings.guess.units import Unit
+from dieseltwin.recordings.unit_spellings import Unit
 from dieseltwin.symbols import symbol
 
 GAUGE_BELOW_PA = 6.0e4  # an absolute pressure of a running engine at 3 km altitude stays above

@@ -21,11 +21,11 @@ from dieseltwin.recordings.guess.facts import clock_of, facts_of, signals_of
 from dieseltwin.recordings.guess.names import vocabulary, words_of
 from dieseltwin.recordings.guess.physics import ranks_agree
 from dieseltwin.recordings.guess.propose import LEAST_SCORE, Proposal, propose
-from dieseltwin.recordings.guess.units import understood
 from dieseltwin.recordings.guess.words import channel_lines, map_text
 from dieseltwin.recordings.importers.read import read_raw
 from dieseltwin.recordings.importers.signals import RawChannels, Signal, unique_names
 from dieseltwin.recordings.reader import read_recording
+from dieseltwin.recordings.unit_spellings import understood
 
 REFERENCE = Path(__file__).parents[2] / "reference" / "field_random_300s.csv"
 CLOSE = 0.02  # of the mean: a guess is right when its values are, unit, offset and formula included
