@@ -24,7 +24,6 @@ from dieseltwin.recordings.standing import standing
 from dieseltwin.recordings.steady_points import SteadyPoints, read_points
 from dieseltwin.rigs.parameters import RigParameters
 from dieseltwin.rigs.recording import RigRecording, read_rig, refuse_still
-from dieseltwin.sensors import NEEDED
 from dieseltwin.settings.extras import require
 from dieseltwin.settings.names import listed, refuse_options
 from dieseltwin.symbols import BY_COLUMN
@@ -179,7 +178,7 @@ def of_a_healthy_engine(
     """
     source = opened(source, engine, channels)
     if settled(source):
-        return standing(settled_points(source, channels, engine, (*INPUTS, *NEEDED)))
+        return standing(settled_points(source, channels, engine, INPUTS))
     return [diesel_recording(source, channels, engine, sensors=())]
 
 
