@@ -5,12 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from dieseltwin.arrays import Array
+from dieseltwin.engine.parameters import EngineParameters
+from dieseltwin.engine.terms import effect_terms
+from dieseltwin.errors import InputError
 from dieseltwin.notes import Note, listing
 from dieseltwin.recordings.steady_points import JUDGED, STATES, SteadyPoints
 
 FARTHEST = 1.6  # times what the reference reads at the same inputs, in the middle point: no fault of the catalogue does
 FARTHEST_EGR = 3.0  # the same of EGR, which a stuck valve and soot change far more
 SHRINK = 0.1  # of the regression's columns, each of unit spread: points may be few
+SAME = 1e-4  # of a reading: four that agree by this in two points are no two measurements
+_FINE = ("p_im_pa", "p_em_pa", "omega_t_rad_s", "t_em_k")
 SMALL = 1e-3  # of a middle reading: below, logarithms say nothing
 
 
@@ -42,6 +47,39 @@ def far_from_reference(points: SteadyPoints) -> list[Note]:
         return []
     return [Note(f"{listing(off)} what the reference reads at the same inputs: is it the same engine, and the same "
                  "unit?", "wrong_engine", tuple(columns))]  # fmt: skip
+
+
+def refuse_copies(points: SteadyPoints, where: str) -> None:
+    """Refuse judged points that are the reference's with other digits: rounded, or converted to a unit and back.
+
+    Args:
+        points: of a reference and judged.
+        where: name for messages.
+
+    Raises:
+        InputError: more than half of the judged points are.
+    """
+    readings = np.column_stack([points[name] for name in _FINE])
+    known, judged = readings[points[JUDGED] < 0.5], readings[points[JUDGED] > 0.5]
+    apart = np.abs(judged[:, None] / known - 1.0).max(axis=2)
+    same = int(np.count_nonzero(np.nan_to_num(apart, nan=np.inf).min(axis=1) < SAME))
+    if same > 0.5 * len(judged):
+        raise InputError(where, f"{same} of {len(judged)} points whose readings are the reference's but for rounding",
+                         "other points than the reference's", "judge points that the engine isn't learned from")
+
+
+def terms_of_then(points: SteadyPoints, engine: EngineParameters) -> list[Note]:
+    """A note where the engine file has effects: beside a reference they are taken as there at its time already.
+
+    Args:
+        points: of a reference and judged, or judged alone.
+        engine: as given.
+    """
+    there = sorted({term.slot for term in effect_terms(engine.terms)})
+    if JUDGED not in points or not there:
+        return []
+    return [Note(f"the engine file has {listing(there)}, which is taken as there in the reference already and isn't "
+                 "looked for: give the file from when the engine was well if it came since", "reference")]  # fmt: skip
 
 
 def _times(along: Array, logarithm: Array, known: Array, judged: Array) -> float:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dieseltwin.arrays import Array
+from dieseltwin.calibration.beside_checks import terms_of_then
 from dieseltwin.calibration.checks import Actuator, actuators, check_points, egr_shut, filling_notes
 from dieseltwin.calibration.coefficients import (
     BELIEFS,
@@ -205,7 +206,7 @@ def calibrate(
     valves = actuators(points, geometry.n_cyl)
     read = [of_reading(note) for note in points.notes]
     points, turned = _turned(points, valves)
-    notes = [*read, *turned, *filling_notes(points.judged, geometry)]
+    notes = [*read, *turned, *filling_notes(points.judged, geometry), *terms_of_then(points, geometry)]
     notes += [valve.sentence() for valve in valves]
     if all((points[c] == v).all() for c, v in (("p_amb_pa", geometry.p_amb), ("t_amb_k", geometry.T_amb))):
         notes.append(f"the ambient of every point is the engine's own, {geometry.p_amb / 1e3:.4g} kPa and "

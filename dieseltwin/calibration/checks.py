@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from dieseltwin.arrays import Array
-from dieseltwin.calibration.beside_checks import far_from_reference
+from dieseltwin.calibration.beside_checks import far_from_reference, refuse_copies
 from dieseltwin.engine import EngineParameters, constants
 from dieseltwin.engine.cylinder import cylinder_inflow, fuel_flow
 from dieseltwin.errors import InputError
@@ -82,6 +82,7 @@ def check_points(points: SteadyPoints, where: str, cylinders: int = 6) -> Steady
                              "measure more points over speed, load, EGR and VGT")
         _refuse_still(judged, where)
         _swapped(judged, where, cylinders)
+        refuse_copies(points, where)
         return replace(points, notes=(*points.notes, *far_from_reference(points)))
     return _check(points, where, cylinders)
 

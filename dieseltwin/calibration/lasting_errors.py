@@ -21,15 +21,16 @@ from dieseltwin.settings.search import PointSettings
 EXHAUST = "T_em"
 """Insertion point of the exhaust temperature, whose formula errs smoothly over engine speed and injected quantity."""
 
-VANES = "eta_tm:vanes"
-"""The turbine's efficiency over the position of its vanes: the model has none, and a real one has some per cent."""
-
 TOLERANCE_OVER: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     EXHAUST: (("n_e", "u_delta"), ()), "f_egr": (("u_egr",), ("Pi_egr",)),
 }  # fmt: skip
 """Insertion point -> variables over which its error is smooth at settled points (two ways of thinking of it), where
 they are others than a map's in a recording: the exhaust's temperature is no map there, and the EGR flow's factor over
 the pressure ratio is a parabola (A.9) in place of a nozzle, which a mean over points at all ratios shows."""
+
+BESIDE_REFERENCE: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {"eta_tm": (("u_vgt",), ())}
+"""The same for an error that the search takes out beside a reference, too: no map of the model has the turbine's
+efficiency over its vanes' position, where a real one has some per cent. No fit and no file holds it."""
 
 _KEPT = 0.95  # of the variance; the rest is below what differs from point to point
 _TOLD = 1e-4  # of a correction that is not worth a larger coefficient [-]
@@ -59,15 +60,13 @@ def with_lasting_errors(
     errors = {name: believed.map_beside_reference * along[_smooth(m)] for m, name in enumerate(CORRECTED_POINTS)}
     believed_of_heat = believed.submodels.smooth_error(SUBMODEL_OF[EXHAUST])
     errors[EXHAUST] = believed_of_heat * _over_inputs(points, model)
-    errors[VANES] = believed.map_beside_reference * _over_vanes(points, model)
     columns: dict[str, NDArray[np.float64]] = {}
     found = []
     for name, functions in errors.items():
         for k, mode in enumerate(_leading(functions)):
             label = f"{MAP_MODE}{name}:{k}"
             columns[label] = mode
-            submodel = SUBMODEL_OF[name.split(":")[0]]
-            found.append(Coefficient(label, submodel, 0.0, 1.0, -_MOST, _MOST, "-", "smooth error of the map"))
+            found.append(Coefficient(label, SUBMODEL_OF[name], 0.0, 1.0, -_MOST, _MOST, "-", "smooth error of the map"))
     return points.with_columns(**columns), [*found, *sensor_errors(points, believed)]
 
 
@@ -100,7 +99,7 @@ def map_corrections(
     along = basis_along(_variables(points, model, values))
     coefficients = np.zeros(len(along))
     for m, point in enumerate(CORRECTED_POINTS):
-        functions, own = _smooth(m), [name for name in modes if name.rpartition(":")[0] == f"{MAP_MODE}{point}"]
+        functions, own = _smooth(m), [name for name in modes if name.split(":")[1] == point]
         error = np.sum([values[name] * points[name] for name in own], axis=0)
         A = believed.map_beside_reference * along[functions].T / _TOLD
         smallest = np.linalg.solve(A.T @ A + np.eye(A.shape[1]), A.T @ (error / _TOLD))
@@ -117,12 +116,6 @@ def _over_inputs(points: SteadyPoints, model: SteadyModel) -> NDArray[np.float64
     """Smooth functions (K, n) of engine speed and injected quantity, over the ranges of the engine."""
     ranges = {"n_e_rpm": model.engine.n_e_range, "u_delta_mg": model.engine.u_delta_range}
     return smooth_functions(*((points[column] - low) / (high - low) for column, (low, high) in ranges.items()))
-
-
-def _over_vanes(points: SteadyPoints, model: SteadyModel) -> NDArray[np.float64]:
-    """Smooth functions (K, n) of the vanes' position, over the range of the engine."""
-    low, high = model.engine.u_vgt_range
-    return smooth_functions((points["u_vgt_pct"] - low) / (high - low), np.full(points.size, 0.5))
 
 
 def _variables(points: SteadyPoints, model: SteadyModel, values: Mapping[str, float]) -> dict[str, NDArray[np.float64]]:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from dieseltwin.calibration.beside_checks import terms_of_then
 from dieseltwin.calibration.checks import check_points
+from dieseltwin.engine.terms import Term
 from dieseltwin.errors import InputError
 from dieseltwin.notes import Note
 from dieseltwin.recordings.steady_points import SteadyPoints, beside_reference
@@ -70,3 +72,19 @@ def test_a_reading_that_many_points_lack_is_said(judged: SteadyPoints) -> None:
     two = judged.with_columns(p_em_pa=np.where(rows < 3, np.nan, judged["p_em_pa"]),
                               t_em_k=np.where(rows < 3, np.nan, judged["t_em_k"]))  # fmt: skip
     assert "3 points left out: more than one reading is missing" in check_points(two, "points.csv").notes[-1]
+
+
+def test_a_rounded_copy_of_the_reference_is_refused(well: SteadyPoints, judged: SteadyPoints) -> None:
+    rounded = well.with_columns(**{name: np.round(well[name], 3) for name in well.columns})
+    with pytest.raises(InputError, match="60 of 60 points whose readings are the reference's but for rounding"):
+        check_points(beside_reference(rounded, [well]), "points.csv")
+    assert check_points(beside_reference(judged, [well]), "points.csv").size == 100
+
+
+def test_effects_of_the_engine_file_are_taken_as_there_in_the_reference(
+    judged: SteadyPoints, well: SteadyPoints
+) -> None:
+    leaking = TRUTH.replace(terms=(Term(effect="exhaust_leak", magnitude=5e-5),))
+    beside = beside_reference(judged, [well])
+    assert "the engine file has exhaust_leak" in terms_of_then(beside, leaking)[0]
+    assert not terms_of_then(beside, TRUTH) and not terms_of_then(judged, leaking)

@@ -1,4 +1,4 @@
-"""The slope of the turbine's efficiency over its blade speed ratio is held, and what hangs on it is in the deviation."""
+"""The slope of the turbine's efficiency over its blade speed ratio is held; what hangs on it is in the deviation."""
 
 from __future__ import annotations
 
