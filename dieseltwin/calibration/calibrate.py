@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dieseltwin.arrays import Array
+from dieseltwin.calibration.beside_checks import terms_of_then
 from dieseltwin.calibration.checks import Actuator, actuators, check_points, egr_shut, filling_notes
 from dieseltwin.calibration.coefficients import (
     BELIEFS,
@@ -21,11 +22,12 @@ from dieseltwin.calibration.coefficients import (
 )
 from dieseltwin.calibration.lasting_errors import sensor_errors, with_lasting_errors
 from dieseltwin.calibration.likelihood import Estimate, estimate
+from dieseltwin.calibration.matched_values import SLOPE_OF_RATIO, known_turbine, matched_values
 from dieseltwin.calibration.outlying import without_slips
 from dieseltwin.calibration.steady_model import EXTRA_ROWS, MAP_MODE, ROWS, SENSOR_ERROR, SteadyModel, term_values
 from dieseltwin.engine.parameters import EngineParameters, validated
 from dieseltwin.errors import InputError
-from dieseltwin.notes import Note
+from dieseltwin.notes import Note, of_reading
 from dieseltwin.recordings.steady_points import JUDGED, SteadyPoints
 from dieseltwin.settings.search import PointSettings
 from dieseltwin.settings.strict import read_mapping, unknown_name
@@ -202,9 +204,9 @@ def calibrate(
     geometry = geometry or base
     points = check_points(points, where, geometry.n_cyl)
     valves = actuators(points, geometry.n_cyl)
-    read = [Note(note, "reading") for note in points.notes]
+    read = [of_reading(note) for note in points.notes]
     points, turned = _turned(points, valves)
-    notes = [*read, *turned, *filling_notes(points, geometry)]
+    notes = [*read, *turned, *filling_notes(points.judged, geometry), *terms_of_then(points, geometry)]
     notes += [valve.sentence() for valve in valves]
     if all((points[c] == v).all() for c, v in (("p_amb_pa", geometry.p_amb), ("t_amb_k", geometry.T_amb))):
         notes.append(f"the ambient of every point is the engine's own, {geometry.p_amb / 1e3:.4g} kPa and "
@@ -299,6 +301,10 @@ def _free(points: SteadyPoints, base: EngineParameters, engine: EngineParameters
     if JUDGED in points:
         free += [c for c in wear_coefficients() if not (c.submodel == "egr_flow" and egr_shut(points.judged))]
     fixed = {c.name: c.mean for c in free if c.name in dropped}
+    if JUDGED in points and "t_c_k" not in points:
+        dropped |= {*SLOPE_OF_RATIO}
+        fixed |= {c.name: c.mean for c in free if c.name in SLOPE_OF_RATIO}
+        fixed |= {} if known_turbine(base, engine) else matched_values(points, engine)
     return [c for c in free if c.name not in dropped], fixed
 
 

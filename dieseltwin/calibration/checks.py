@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from dieseltwin.arrays import Array
+from dieseltwin.calibration.beside_checks import far_from_reference, refuse_copies
 from dieseltwin.engine import EngineParameters, constants
 from dieseltwin.engine.cylinder import cylinder_inflow, fuel_flow
 from dieseltwin.errors import InputError
@@ -17,9 +18,11 @@ from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.guess.physics import ranks_agree
 from dieseltwin.recordings.ranks import ranks
 from dieseltwin.recordings.reader import CRANKING_RPM
-from dieseltwin.recordings.steady_points import STATES, SteadyPoints, once_each
+from dieseltwin.recordings.steady_points import JUDGED, NEVER_NOUGHT, STATES, SteadyPoints, once_each
 
 FEWEST_POINTS = 20
+FEWEST_JUDGED = 10  # beside a reference, which has the coefficients to tell
+MANY = 0.2  # of the points, from which a missing reading is said
 _SAME_DIGITS = 3  # of rpm, mg and %: points that agree in all of them say the same
 SHUT = 0.005  # an EGR fraction below this everywhere is a shut valve [-]
 STILL = 1.5  # an actuator whose spread (standard deviation) stays below this does not move [%]
@@ -61,13 +64,54 @@ class Actuator:
 def check_points(points: SteadyPoints, where: str, cylinders: int = 6) -> SteadyPoints:
     """Refuse what can't be calibrated from; drop copies, rows that lack more than one reading, and engines at rest.
 
+    Points beside a reference and the reference's own are checked apart: beside the others a swapped column hides.
+
     Args:
         points: as read; where: name for messages; cylinders: how many the engine has.
 
     Raises:
-        InputError: too few points, columns that are swapped.
+        InputError: too few points, a reading that stands still, columns that are swapped.
     """
-    points = _running(points.take(np.isfinite(points.states()).sum(axis=1) >= len(STATES) - 1))
+    points = _running(_read(points))
+    if JUDGED in points:
+        points = once_each(points)
+        well, judged = points.take(points[JUDGED] < 0.5), points.judged
+        _check(well, f"{where}: its reference", cylinders)
+        if judged.size < FEWEST_JUDGED:
+            raise InputError(where, f"{judged.size} usable points", f"at least {FEWEST_JUDGED} beside a reference",
+                             "measure more points over speed, load, EGR and VGT")
+        _refuse_still(judged, where)
+        _swapped(judged, where, cylinders)
+        refuse_copies(points, where)
+        return replace(points, notes=(*points.notes, *far_from_reference(points)))
+    return _check(points, where, cylinders)
+
+
+def _read(points: SteadyPoints) -> SteadyPoints:
+    """Without points that lack more than one reading; a note for these, and for a reading that many lack."""
+    known = np.isfinite(points.states())
+    kept = known.sum(axis=1) >= len(STATES) - 1
+    notes = []
+    if not kept.all():
+        notes.append(f"{counted(int(np.count_nonzero(~kept)), 'point')} left out: more than one reading is missing")
+    for name, there in zip(STATES, known[kept].T, strict=True):
+        lacking = int(np.count_nonzero(~there))
+        if lacking > MANY * there.size:
+            notes.append(f"{name} is missing in {lacking} of {there.size} points, which say nothing of what needs it")
+    return replace(points.take(kept), notes=(*points.notes, *notes))
+
+
+def _refuse_still(points: SteadyPoints, where: str) -> None:
+    """Refuse a reading that has one value in every point, while the engine has not."""
+    for name in NEVER_NOUGHT:
+        values = points[name][np.isfinite(points[name])]
+        if values.size >= FEWEST_JUDGED and np.ptp(values) == 0.0:
+            raise InputError(f"{where}: column {name}", f"{values[0]:g} in every point",
+                             "a reading that follows speed and load", "is the sensor plugged in? Measure it again")
+
+
+def _check(points: SteadyPoints, where: str, cylinders: int) -> SteadyPoints:
+    """`check_points` of those of one engine in one state."""
     different = np.unique(np.round(points.inputs(), _SAME_DIGITS), axis=0)
     if points.size >= FEWEST_POINTS and len(different) < FEWEST_POINTS // 2:
         raise InputError(where, f"{len(different)} different operating points in {points.size} rows",
@@ -77,6 +121,7 @@ def check_points(points: SteadyPoints, where: str, cylinders: int = 6) -> Steady
     if points.size < FEWEST_POINTS:
         raise InputError(where, f"{points.size} usable points", f"at least {FEWEST_POINTS}; 60 or more to tell "
                          "the maps' coefficients", "measure more points over speed, load, EGR and VGT")
+    _refuse_still(points, where)
     _swapped(points, where, cylinders)
     return points
 

@@ -30,6 +30,7 @@ from dieseltwin.calibration.formulations import formulations
 from dieseltwin.calibration.held_out import Foretold, foretold
 from dieseltwin.calibration.lasting_errors import corrections_left, map_corrections
 from dieseltwin.calibration.likelihood import FULL_ITERATIONS, Estimate, estimate
+from dieseltwin.calibration.matched_turbine import beside_best_ratio
 from dieseltwin.calibration.onsets import Onset, onset_of
 from dieseltwin.calibration.own_pipes import BACK_PRESSURE, beside_own_pipes
 from dieseltwin.calibration.reference_engine import about_reference, told_by_reference
@@ -278,6 +279,8 @@ def discover_points(calibration: Calibration, options: Options | None = None) ->
     beside_pipes = beside_own_pipes(here, free)
     if beside_pipes is not None:
         std[BACK_PRESSURE] = float(np.hypot(std[BACK_PRESSURE], values[BACK_PRESSURE] - beside_pipes))
+    for name, other in beside_best_ratio(here, free, names).items():
+        std[name] = float(np.hypot(std[name], values[name] - other))
     return PointsDiscovery(
         calibration, here, tuple(rounds), {name: (values[name], std[name]) for name in names}, first.nll,
         best.nll, submodel_fits(calibration.model, points, mask, first.trained, calibration.estimate.discrepancy),

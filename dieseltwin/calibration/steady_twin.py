@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from dieseltwin.calibration.calibrate import Calibration
 from dieseltwin.calibration.coefficients import FLAP_COEFFICIENTS, WEAR
-from dieseltwin.calibration.lasting_errors import SUBMODEL_OF, TOLERANCE_OVER, sensor_errors
+from dieseltwin.calibration.lasting_errors import BESIDE_REFERENCE, SUBMODEL_OF, TOLERANCE_OVER, sensor_errors
 from dieseltwin.calibration.likelihood import reading_covariance, reading_noise
 from dieseltwin.calibration.steady_model import CHARGE_OFFSET, MAP_MODE, SteadyModel, law_variables
 from dieseltwin.discovery.likelihood.metric import Whitening
@@ -127,13 +127,16 @@ class SteadyTwin(TwinDefaults):
             self.parameters += tuple(
                 Parameter(name, nominal[key], spread, "-", spread) for name, key in FLAP_COEFFICIENTS.items()
             )
+        lasting, over = {name: errors.smooth_error(row) for name, row in SUBMODEL_OF.items()}, TOLERANCE_OVER
+        if told:
+            lasting, over = dict.fromkeys(BESIDE_REFERENCE, settings.map_beside_reference), BESIDE_REFERENCE
         flap = ("u_flap",) if "u_flap_pct" in self.data else ()
         self.points: tuple[Point, ...] = tuple(
             Point(
                 name, facts.site, name not in ADDED_AT, ADDED_AT.get(name, "-"),
                 (*facts.ports, *(flap if name == "p_es" else ())), facts.scale,
-                errors.smooth_error(SUBMODEL_OF[name]) if name in SUBMODEL_OF and not told else 0.0,
-                *TOLERANCE_OVER.get(name, (facts.over, facts.also)),
+                lasting.get(name, 0.0),
+                *over.get(name, (facts.over, facts.also)),
             )
             for name, facts in POINT_FACTS.items() if name not in _WITHOUT_SIGNAL
         )  # fmt: skip

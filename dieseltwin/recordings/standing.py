@@ -13,6 +13,7 @@ from dieseltwin.errors import InputError
 from dieseltwin.notes import counted
 from dieseltwin.recordings.channels import DIESEL_COLUMNS, TIME
 from dieseltwin.recordings.columns import Columns
+from dieseltwin.recordings.guess.physics import reversed_positions
 from dieseltwin.recordings.named_columns import columns_sha256
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.recordings.steady_points import SteadyPoints
@@ -30,11 +31,13 @@ def standing(points: SteadyPoints) -> list[Recording]:
     """The points as recordings, one for each weather; readings stand in every row.
 
     Raises:
-        InputError: fewer than five points, or weather that changes from point to point.
+        InputError: fewer than five points, weather that changes from point to point, or a position that counts the
+            other way round: maps bend to that, and little is left to see.
     """
     where = str(points.path or "points")
     if points.size < _FEWEST:
         raise InputError(where, counted(points.size, "settled point"), f"{_FEWEST} or more", "measure more points")
+    _refuse_turned(points, where)
     p_amb, t_amb = points["p_amb_pa"], points["t_amb_k"]
     weather = np.stack([np.round(p_amb / _SAME_PRESSURE_PA), np.round(t_amb / _SAME_TEMPERATURE_K)], axis=1)
     if np.ptp(p_amb) <= _SAME_PRESSURE_PA and np.ptp(t_amb) <= _SAME_TEMPERATURE_K:
@@ -47,6 +50,13 @@ def standing(points: SteadyPoints) -> list[Recording]:
             "learn from the points of some days at a time",
         )  # fmt: skip
     return [_held(points, np.flatnonzero(of_day.ravel() == day)) for day in range(len(days))]
+
+
+def _refuse_turned(points: SteadyPoints, where: str) -> None:
+    met = np.isfinite(np.stack(list(points.columns.values()))).all(axis=0)
+    for name, why in reversed_positions({name: values[met] for name, values in points.columns.items()}).items():
+        raise InputError(f"{where}: column {name}", why, "0 for shut, 100 for open",
+                         "turn it round in a channel map (--channels): scale: -1, offset: 100")  # fmt: skip
 
 
 def _held(points: SteadyPoints, which: NDArray[np.int_]) -> Recording:

@@ -303,9 +303,7 @@ def check_recording(
     Raises:
         InputError: the recording can't carry a verdict, or the engine file is another engine's.
     """
-    if recording.standing:
-        _refuse_turned(recording)
-    else:
+    if not recording.standing:
         check_length(recording)
     check_rows(recording)
     used = check_sensors(recording, sensors)
@@ -373,13 +371,6 @@ def _turned(recording: Recording) -> dict[str, str]:
     columns = {"p_amb_pa": np.full(recording.time_s.size, recording.p_amb_pa), **recording.columns}
     met = np.isfinite(np.stack(list(columns.values()))).all(axis=0)
     return reversed_positions({name: values[met] for name, values in columns.items()}) if met.sum() > _MET else {}
-
-
-def _refuse_turned(points: Recording) -> None:
-    """Refuse settled points with a position that counts the other way: maps bend to it, and little is left to see."""
-    for name, why in _turned(points).items():
-        raise InputError(f"{points.path or 'points'}: column {name}", why, "0 for shut, 100 for open",
-                         "turn it round in a channel map (--channels): scale: -1, offset: 100")  # fmt: skip
 
 
 def misfit_of(
