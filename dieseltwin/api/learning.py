@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from collections.abc import Set as AbstractSet
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,18 +15,18 @@ from dieseltwin.api.petrol import PetrolCalibrated, learn_petrol
 from dieseltwin.api.reading import Channels, Made, Source, of_a_healthy_engine, several
 from dieseltwin.api.reference_faults import alike_line, hidden_line, suspected_faults
 from dieseltwin.api.results import Result, drawn
+from dieseltwin.api.siblings import siblings_of, what_they_say
 from dieseltwin.discovery.reference.evidence import Learned
 from dieseltwin.discovery.reference.learn import learn_engine
 from dieseltwin.discovery.verdict.checks import check_recording, check_rows
-from dieseltwin.engine import HEALTH, MEASURED, EngineParameters, we2011
+from dieseltwin.engine import HEALTH, MEASURED, EngineParameters
 from dieseltwin.engine.map_corrections import ARGUMENTS, CORRECTED_POINTS, basis
 from dieseltwin.errors import InputError
-from dieseltwin.learning.belief import Further, prior_belief
+from dieseltwin.learning.belief import HEALTH_AT, prior_belief
 from dieseltwin.learning.domain import KNOWN_SHARE, functions_on_maps, share_of_box, uncertainty_along
 from dieseltwin.learning.files import LearnedEngine, going_on, learned_engine_of, overlap, save_learned, seal_of
 from dieseltwin.learning.levels import health_covariance
-from dieseltwin.learning.siblings import belief_from_siblings
-from dieseltwin.learning.weather import exponent_words
+from dieseltwin.learning.weather import exponent_words, of_own_weather
 from dieseltwin.notes import Note, of_reading
 from dieseltwin.paths import YAML_ENDINGS
 from dieseltwin.petrol.parameters import PetrolParameters
@@ -44,6 +43,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _FAR_OFF = 3.0  # times what is believed of a map, of a correction: by chance one map in some hundred engines
+_UNTOLD = 0.9  # of the variance of health that was believed, from which on nothing was learned of it
 _WHOLE = 0.95  # of a box that is known, from which on none of it is said to be unknown
 MAP_ERRORS = (0.001, 0.1)
 
@@ -179,14 +179,11 @@ def _learn_diesel(
     settings = default_learn()
     size = before.map_rms if before is not None else settings.map_error if map_error is None else map_error
     own = {item.sha256 for item in (*sources, *earlier)}
-    others = _siblings(siblings, base, size, own)
-    prior = None
-    if others:
-        beliefs = [(one.believed, one.belief) for one in others.values()]
-        further = Further(*np.mean([astuple(one.further) for one in others.values()], axis=0).tolist())
-        prior = belief_from_siblings(beliefs, base, size, settings.type_share, further)
-    known, found = learn_engine(sources, base, size, before, settings, prior)
+    others = siblings_of(siblings, base, size, own)
+    prior, of_type = what_they_say(others.values(), of_own_weather(base, together), size) if others else (None, None)
+    known, found = learn_engine(sources, base, size, before, settings, prior, of_type)
     _check_misfits(known, settings.misfit_max)
+    _check_told(known)
     least = settings.suspicious_gain
     suspected = [*_suspected(found, [*sources, *known.recordings]),
                  *suspected_faults(known, least, bool(found.suspicions))]  # fmt: skip
@@ -209,39 +206,6 @@ def known_engine(
     return result.known, [Note(note.removeprefix("note: "), "reference") for note in result.notes]
 
 
-def _siblings(
-    siblings: Sequence[str | Path], base: EngineParameters, map_rms: float, own: AbstractSet[str]
-) -> dict[str, LearnedEngine]:
-    """File -> engine of the type, each engine once, in an order of its own.
-
-    Args:
-        own: hashes of the new engine's recordings, on which no sibling may rest.
-    """
-    found: dict[str, tuple[str, LearnedEngine]] = {}
-    for name in siblings:
-        one = learned_engine_of(name)
-        if one is None:
-            raise InputError(f"--siblings {name}", "no learned engine", "a file of `dieseltwin learn`",
-                             "learn it first")
-        if one.map_rms != map_rms:
-            raise InputError(f"--siblings {name}", f"learned with a map error of {one.map_rms:g}", f"{map_rms:g}, as "
-                             "of the new engine", "name the same --map-error")
-        if own & {item.sha256 for item in one.recordings}:
-            raise InputError(f"--siblings {name}", "learned from a recording of the new engine itself",
-                             "another engine of the type", "leave it out")
-        if _maps_of(one.base) != _maps_of(base):
-            raise InputError(f"--siblings {name}", "learned from another base engine", "the base of the new engine",
-                             "name the same --engine")
-        found["".join(item.sha256 for item in one.recordings)] = str(name), one
-    return dict(found[key] for key in sorted(found))
-
-
-def _maps_of(engine: EngineParameters) -> EngineParameters:
-    """An engine but for what each of a type has of its own: health and ambient."""
-    health = dict(zip(HEALTH, we2011.PARAMETERS.health(), strict=True))
-    return engine.replace(**health, p_amb=we2011.PARAMETERS.p_amb, T_amb=we2011.PARAMETERS.T_amb)
-
-
 def learned_summary(engine: Path) -> list[str]:
     """`summary` of an engine file; nothing where it wasn't learned.
 
@@ -262,7 +226,7 @@ def summary(learned: LearnedEngine) -> list[str]:
         "from the base"
         for name, value, s, then in zip(HEALTH, belief.health, std, learned.base.health(), strict=True)
     ]
-    lines += exponent_words(learned.exponents)
+    lines += exponent_words(learned.exponents, learned.of_type)
     further = learned.further
     rough, of_ratio = (100.0 * learned.errors * v**0.5 for v in (further.rough, further.of_ratio))
     if further.size > 1.0:
@@ -351,6 +315,19 @@ def _check_misfits(known: LearnedEngine, most: float) -> None:
             f"{known.misfits[worst.sha256]:.2f} times the noise is left with all maps corrected",
             f"up to {most:g} for a healthy engine of this kind",
             "check that it is this engine, that it was well, and that its columns and units are right",
+        )  # fmt: skip
+
+
+def _check_told(known: LearnedEngine) -> None:
+    """Refuse recordings of which nothing came to be known: a fit that ended where the simulation runs away in every
+    window left the engine as it was believed to be, without a misfit and without a word."""
+    before, after = (np.diag(belief.covariance)[HEALTH_AT] for belief in (known.believed, known.belief))
+    if np.all(after > _UNTOLD * before):
+        first = next((item for item in known.recordings if item.path is not None), known.recordings[0])
+        raise InputError(
+            str(first.path or "recording"), "nothing that tells health or maps: the fit ended where no stretch of it "
+            "can be simulated", "driving of this engine when it was well",
+            "check its columns, units and clocks, and try other recordings of it",
         )  # fmt: skip
 
 

@@ -49,7 +49,7 @@ from dieseltwin.learning.belief import (
     with_further,
 )
 from dieseltwin.learning.faults import FaultBeside
-from dieseltwin.learning.weather import EXPONENTS, WEATHER, Exponent, beside_exponents, of_own_weather
+from dieseltwin.learning.weather import EXPONENTS, WEATHER, Exponent, OfType, beside_exponents, of_own_weather
 from dieseltwin.notes import Note, counted
 from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.derived import Made
@@ -93,7 +93,8 @@ class LearnedEngine:
             that a discovery found since; None for the engine as it was learned. The belief is that of learning.
         faults: the main faults as the recordings say them where no map is off by more than usual; none where an earlier
             version learned it.
-        exponents: of the compressor by name, where the recordings are in different weather.
+        exponents: of the compressor by name, where recordings in different weather or engines of its type show them.
+        of_type: what engines of the same type say of the compressor; None where nothing is believed of them.
     """
 
     base: EngineParameters
@@ -110,6 +111,7 @@ class LearnedEngine:
     repaired: EngineParameters | None = None
     faults: tuple[FaultBeside, ...] = ()
     exponents: Mapping[str, Exponent] = field(default_factory=dict)
+    of_type: OfType | None = None
 
     @property
     def errors(self) -> float:
@@ -134,7 +136,7 @@ class LearnedEngine:
 
     def in_its_weather(self, engine: EngineParameters) -> EngineParameters:
         """An engine whose compressor's maps are of the weather of these recordings."""
-        return of_own_weather(engine, self.recordings, self.exponents)
+        return of_own_weather(engine, self.recordings, self.exponents, self.of_type)
 
     def beliefs(self, beliefs: CircumstanceSettings) -> CircumstanceSettings:
         """What is believed of a recording's circumstances, with what these recordings show of the compressor."""
@@ -318,6 +320,7 @@ def _parquet(learned: LearnedEngine) -> bytes:
         "further": asdict(learned.further), "clocks": dict(learned.clocks), "converged": learned.converged,
         "suspected": list(learned.suspected), "faults": [asdict(item) for item in learned.faults],
         "exponents": {name: asdict(item) for name, item in learned.exponents.items()},
+        "of_type": None if learned.of_type is None else asdict(learned.of_type),
         "base": learned.base.model_dump(mode="json"),
         "recordings": [
             {
@@ -366,8 +369,16 @@ def _parsed(content: bytes, where: Path) -> LearnedEngine:
         {row["sha256"]: float(row["misfit"]) for row, _ in known}, prior, Further(**further),
         dict(about.get("clocks", {})), bool(about.get("converged", True)),
         tuple(about.get("suspected", ())), faults=tuple(FaultBeside(**item) for item in about.get("faults", ())),
-        exponents={name: Exponent(**item) for name, item in about.get("exponents", {}).items()},
+        exponents=_exponents(about.get("exponents", {})), of_type=_of_type(about.get("of_type")),
     )  # fmt: skip
+
+
+def _exponents(row: Mapping[str, Mapping[str, float]]) -> dict[str, Exponent]:
+    return {name: Exponent(**item) for name, item in row.items()}
+
+
+def _of_type(row: dict[str, Any] | None) -> OfType | None:
+    return None if row is None else OfType(_exponents(row["exponents"]), row["p_cmap"], row["T_cmap"])
 
 
 def _recording(row: dict[str, Any], data: bytes) -> Recording:

@@ -35,9 +35,24 @@ class Exponent:
     std: float
 
 
+@dataclass(frozen=True)
+class OfType:
+    """What other engines of a type say of a compressor.
+
+    Attributes:
+        exponents: by name, of which they say enough.
+        p_cmap, T_cmap: weather in which they say what its maps are [Pa, K].
+    """
+
+    exponents: Mapping[str, Exponent]
+    p_cmap: float
+    T_cmap: float
+
+
 def of_own_weather(
-    engine: EngineParameters, recordings: Sequence[Recording], known: Mapping[str, Exponent] | None = None
-) -> EngineParameters:
+    engine: EngineParameters, recordings: Sequence[Recording], known: Mapping[str, Exponent] | None = None,
+    of_type: OfType | None = None,
+) -> EngineParameters:  # fmt: skip
     """An engine whose compressor's maps are of the mean weather of some recordings.
 
     What an engine file says of the exponents stays, but for 0, which every engine has of which nobody said anything.
@@ -46,12 +61,17 @@ def of_own_weather(
         engine: before anything is learned.
         recordings: that it is learned from.
         known: exponents that these show, by name.
+        of_type: what engines of its type say, whose weather the maps are then of.
     """
-    weights = np.array([item.running_s for item in recordings])
-    p_amb, t_amb = (
-        float(np.average([getattr(item, name) for item in recordings], weights=weights))
-        for name in ("p_amb_pa", "t_amb_k")
-    )
+    if of_type is None:
+        weights = np.array([item.running_s for item in recordings])
+        p_amb, t_amb = (
+            float(np.average([getattr(item, name) for item in recordings], weights=weights))
+            for name in ("p_amb_pa", "t_amb_k")
+        )
+    else:
+        p_amb, t_amb = of_type.p_cmap, of_type.T_cmap
+        known = {**of_type.exponents, **(known or {})}
     values = {name: item.value for name, item in (known or {}).items()}
     open_ones = {name: values.get(name, UNDECIDED) for name in EXPONENTS if getattr(engine, name) == 0.0}
     return engine.replace(p_cmap=p_amb, T_cmap=t_amb, **open_ones)
@@ -88,11 +108,13 @@ def beside_exponents(beliefs: CircumstanceSettings, exponents: Mapping[str, Expo
     return beliefs.model_copy(update={name: item.std for name, item in exponents.items()})
 
 
-def exponent_words(exponents: Mapping[str, Exponent]) -> list[str]:
-    """What recordings in different weather show of the compressor, as lines of text."""
+def exponent_words(exponents: Mapping[str, Exponent], of_type: OfType | None = None) -> list[str]:
+    """What recordings in different weather, or engines of its type, show of the compressor, as lines of text."""
+    theirs = {} if of_type is None else of_type.exponents
     of = {"k_cflow": ("efficiency", "flow"), "k_cspeed": ("flow", "speed")}
     return [
         f"  the compressor's {of[name][0]} follows corrected {of[name][1]} by {100.0 * item.value:.0f} ± "
-        f"{100.0 * item.std:.2g} % (0 % is the published model), as recordings in different weather show"
+        f"{100.0 * item.std:.2g} % (0 % is the published model), as "
+        f"{'engines of its type' if theirs.get(name) == item else 'recordings in different weather'} show"
         for name, item in exponents.items()
     ]

@@ -4,7 +4,7 @@ Names are `p_amb_pa`, `t_amb_k`, `t_im_k` (values), `drift:p_amb_pa` (change fro
 `scale:u_delta_mg` (true over recorded), `time_shift:<column>` (recorded late by so much) and `corrected:k_cflow`,
 `corrected:k_cspeed` (how far the compressor's maps go by corrected flow and speed, 0-1, where the weather isn't that of
 learning). Of several recordings that are judged together the number of the recording follows, counted from 0:
-`p_amb_pa@2`.
+`p_amb_pa@2`; what is the engine's own, and so the same in all, has no number: `corrected:k_cflow`.
 """
 
 from __future__ import annotations
@@ -75,14 +75,18 @@ class Circumstance:
 
 
 def among_several(name: str, recording: int) -> str:
-    """Name of a circumstance of one of several recordings, counted from 0."""
-    return f"{name}{_OF}{recording}"
+    """Name of a circumstance of one of several recordings, counted from 0; of the engine's own it is the same."""
+    return name if kind_of(name) == CORRECTED else f"{name}{_OF}{recording}"
 
 
 def of_recording(values: Mapping[str, float], recording: int) -> dict[str, float]:
-    """Those of some values that are of one of several recordings, under the names that they have in it."""
+    """Those of some values that are of one of several recordings, or of the engine, under the names that they have in
+    it."""
     end = among_several("", recording)
-    return {name.removesuffix(end): value for name, value in values.items() if name.endswith(end)}
+    return {
+        name.removesuffix(end): value for name, value in values.items()
+        if name.endswith(end) or kind_of(name) == CORRECTED
+    }  # fmt: skip
 
 
 def kind_of(name: str) -> str:

@@ -53,8 +53,9 @@ def standing(points: SteadyPoints) -> list[Recording]:
 
 
 def _refuse_turned(points: SteadyPoints, where: str) -> None:
-    met = np.isfinite(np.stack(list(points.columns.values()))).all(axis=0)
-    for name, why in reversed_positions({name: values[met] for name, values in points.columns.items()}).items():
+    columns = {name: points[name] for name in DIESEL_COLUMNS if name in points and np.isfinite(points[name]).any()}
+    met = np.isfinite(np.stack(list(columns.values()))).all(axis=0)
+    for name, why in reversed_positions({name: values[met] for name, values in columns.items()}).items():
         raise InputError(f"{where}: column {name}", why, "0 for shut, 100 for open",
                          "turn it round in a channel map (--channels): scale: -1, offset: 100")  # fmt: skip
 

@@ -14,7 +14,7 @@ import dieseltwin as dt
 from dieseltwin.api.discovery import ask
 from dieseltwin.api.driving import DrivingQuestion
 from dieseltwin.api.identification import ask as ask_to_identify
-from dieseltwin.api.learning import LearnedResult, _check_misfits, _in_its_unit
+from dieseltwin.api.learning import LearnedResult, _check_misfits, _check_told, _in_its_unit
 from dieseltwin.api.points import _MEAN_MAPS, PointsQuestion
 from dieseltwin.discovery.fit_test import examine
 from dieseltwin.discovery.reference.evidence import Learned
@@ -72,6 +72,15 @@ def test_the_recording_that_fits_worst_is_refused(tmp_path: Path) -> None:
     assert refused({"earlier": 2.5, "0": 1.1, "1": 1.2, "2": 1.7}) == "2.csv"  # what came last made it so
     assert refused({"earlier": 2.5, "0": 1.1, "1": 1.2, "2": 1.1}) == "recording"
     assert refused({"earlier": 1.6, "0": 1.1, "1": 1.2, "2": 1.1}) is None
+
+
+def test_recordings_that_tell_nothing_are_refused(tmp_path: Path) -> None:
+    """A fit that had run away in every window left no misfit: the base's health was saved as learned, to 30 %."""
+    known = load_learned(learned_file(tmp_path))
+    assert known is not None
+    _check_told(known)
+    with pytest.raises(InputError, match="nothing that tells health or maps"):
+        _check_told(replace(known, belief=known.believed))
 
 
 def test_the_repaired_engine_keeps_what_was_learned(tmp_path: Path) -> None:

@@ -18,7 +18,15 @@ from dieseltwin.learning.belief import MAPS_AT, Belief, prior_belief
 from dieseltwin.learning.domain import domain_of
 from dieseltwin.learning.faults import FaultBeside
 from dieseltwin.learning.files import LearnedEngine, going_on, load_learned, overlap, save_learned
-from dieseltwin.learning.weather import EXPONENTS, WEATHER, Exponent, as_sure_as_the_weather, of_own_weather
+from dieseltwin.learning.weather import (
+    EXPONENTS,
+    WEATHER,
+    Exponent,
+    OfType,
+    as_sure_as_the_weather,
+    exponent_words,
+    of_own_weather,
+)
 from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.reader import Recording, recording
 from dieseltwin.recordings.shared_rows import distinct
@@ -234,6 +242,18 @@ def test_exponents_are_no_surer_than_the_weather_that_shows_them(two):
     assert 0.03 < said["k_cflow"].std < 0.06 and 0.15 < said["k_cspeed"].std < 0.3
     unread = [replace(item, columns=one.columns) for item, one in zip(days, two, strict=True)]
     assert as_sure_as_the_weather(shown, unread, of_own_weather(we2011.PARAMETERS, days), beliefs) == {}
+
+
+def test_what_engines_of_the_type_say_is_kept_and_its_weather_is_that_of_the_maps(tmp_path: Path, two):
+    told = OfType({"k_cflow": Exponent(0.97, 0.03)}, 9.3e4, 281.0)
+    learned = replace(_learned(*two), of_type=told, exponents=told.exponents)
+    save_learned(learned, tmp_path / "mine.yaml")
+    known = load_learned(tmp_path / "mine.yaml")
+    assert known is not None and known.of_type == told and known.repaired is None
+    engine = known.engine
+    assert (engine.p_cmap, engine.T_cmap, engine.k_cflow, engine.k_cspeed) == (9.3e4, 281.0, 0.97, 0.5)
+    assert "as engines of its type show" in exponent_words(known.exponents, known.of_type)[0]
+    assert "recordings in different weather show" in exponent_words(known.exponents)[0]
 
 
 def test_an_engine_file_may_say_how_its_compressor_goes_and_not_in_which_weather_it_was_learned(tmp_path: Path, two):

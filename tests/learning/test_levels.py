@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dieseltwin.discovery.reference.learn import Evidence, combined
+from dieseltwin.discovery.reference.evidence import Evidence, combined
 from dieseltwin.engine import we2011
 from dieseltwin.engine.map_corrections import CORRECTED_POINTS, basis, look_up
 from dieseltwin.learning.belief import MAPS_AT, prior_belief

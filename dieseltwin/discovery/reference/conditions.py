@@ -16,11 +16,13 @@ from dieseltwin.discovery.likelihood.circumstances import WithCircumstances, fro
 from dieseltwin.discovery.likelihood.metric import Metric
 from dieseltwin.discovery.search.circumstances import ROUNDS, under_circumstances
 from dieseltwin.discovery.search.preparation import prepare
+from dieseltwin.discovery.search.quick_inputs import leaves_more, likelier
+from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.diesel_circumstances import LoggedTwin
 from dieseltwin.discovery.twins.interface import Array, Lanes
 from dieseltwin.engine import EngineParameters
-from dieseltwin.learning.weather import EXPONENTS, UNDECIDED, Exponent
-from dieseltwin.recordings.circumstances import CORRECTED, DRIFT, TIME_SHIFT, Circumstance
+from dieseltwin.learning.weather import EXPONENTS, Exponent
+from dieseltwin.recordings.circumstances import CORRECTED, DRIFT, TIME_SHIFT, Circumstance, kind_of
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.settings.defaults import default_search
 from dieseltwin.settings.search import CircumstanceSettings
@@ -38,22 +40,39 @@ def recorded_twin(
     """The twin of a recording of a healthy engine, under the circumstances that it shows; `beliefs` of these, None for
     those of params.yaml.
 
+    Inputs may have moved between its rows where clocks seem to be off or more than noise is left, and that explains
+    more. Taken for straight, they were clocks, rougher maps, effects, or a misfit that refused a healthy engine.
+
     Raises:
         InputError: no usable sensor, or no stretch with the engine running.
     """
     twin = LoggedTwin(recording, engine, map_tolerance=map_rms, beliefs=beliefs)
-    found = prepare(twin, default_search().driving)
-    for _ in range(ROUNDS):
-        other = under_circumstances(found, well=True)
-        if other is None:
-            break
-        found = prepare(other, found.settings)
+    found = _examined(twin)
+    if (_clocks_seem_off(found) or leaves_more(found)) and (quick := twin.with_inputs_between_rows()) is not None:
+        other = _examined(quick)
+        if likelier(found, other, lambda _: 0.0) is other:
+            twin, found = quick, other
     shown = found.twin
     if not isinstance(shown, WithCircumstances):
         return twin
     values = {item.name: shown.values.get(item.name, item.assumed) for item in open_of(shown)}
     far = {item.name for item in open_of(shown) if item.kind or abs(values[item.name] - item.assumed) > _FAR * item.std}
     return twin.under({name: value for name, value in values.items() if name in far}, shown.opened)
+
+
+def _examined(twin: LoggedTwin) -> Search:
+    """The fit of health alone under the circumstances that a recording of a healthy engine shows."""
+    found = prepare(twin, default_search().driving)
+    for _ in range(ROUNDS):
+        other = under_circumstances(found, well=True)
+        if other is None:
+            break
+        found = prepare(other, found.settings)
+    return found
+
+
+def _clocks_seem_off(found: Search) -> bool:
+    return isinstance(found.twin, WithCircumstances) and any(kind_of(name) == TIME_SHIFT for name in found.twin.opened)
 
 
 def open_of(twin: WithCircumstances) -> tuple[Circumstance, ...]:
@@ -175,14 +194,14 @@ class Conditions:
 
 
 def exponents_together(
-    found: Sequence[Exponents], covariance: Array, beliefs: CircumstanceSettings
+    found: Sequence[Exponents], covariance: Array, believed: Mapping[str, Exponent]
 ) -> dict[str, Exponent]:
     """Exponents of one compressor by name, as its recordings together show them; none where all are in one weather.
 
     Each recording has them as its own, with what was believed before; here they are the same, and that counts once.
 
     Args:
-        found: of each recording; covariance: (D, D) of the coordinates; beliefs: what was believed before.
+        found: of each recording; covariance: (D, D) of the coordinates; believed: before, by name.
     """
     names = [name for own in found for name in own.names]
     if not names:
@@ -191,11 +210,12 @@ def exponents_together(
     by_coordinate = np.concatenate([own.by_coordinate for own in found])
     whole = by_coordinate @ covariance @ by_coordinate.T + block_diag(*(own.covariance for own in found if own.names))
     same = np.equal.outer(names, known).astype(np.float64)
-    before = np.array([getattr(beliefs, name) for name in known]) ** -2.0
+    before = np.array([believed[name].std for name in known]) ** -2.0
     again = np.diag((same.sum(axis=0) - 1.0) * before)
     precision = np.linalg.inv(whole)
     together = np.linalg.inv(same.T @ precision @ same - again)
-    push = same.T @ precision @ np.concatenate([own.values for own in found]) - again @ np.full(len(known), UNDECIDED)
+    push = same.T @ precision @ np.concatenate([own.values for own in found])
+    push -= again @ [believed[name].value for name in known]
     rows = zip(known, (together @ push).tolist(), np.sqrt(np.diag(together)).tolist(), strict=True)
     return {name: Exponent(value, std) for name, value, std in rows}
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from dieseltwin.discovery.likelihood.between_rows import WithInputsToOpen
 from dieseltwin.discovery.likelihood.metric import Whitening
 from dieseltwin.discovery.likelihood.noise import noise_of
+from dieseltwin.discovery.search.settled import evidence_of
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.interface import Twin
 
@@ -27,6 +30,11 @@ def with_inputs_between_rows(found: Search) -> tuple[Twin | None, bool]:
     left = share_left(found)
     seen = _NOISE_LEAVES[0] < left < _NOISE_LEAVES[1]
     return None if seen else found.twin.with_inputs_between_rows(), left <= _NOISE_LEAVES[0]
+
+
+def leaves_more(found: Search) -> bool:
+    """Whether an explanation leaves more than noise."""
+    return share_left(found) >= _NOISE_LEAVES[1]
 
 
 def is_made_again(found: Search) -> bool:
@@ -52,3 +60,13 @@ def share_left(found: Search) -> float:
     measured = found.twin.measured
     whitening = Whitening.of(measured, noise_of(found.twin, measured - residual), found.twin.starts, found.scatter)
     return float((whitening.apply(residual[None])[0] ** 2).sum()) / max(float(whitening.present.sum()), 1.0)
+
+
+def likelier(one: Search, other: Search, gain: Callable[[Search], float] = Search.explained) -> Search:
+    """The search that explains more of the readings that both use, each with its own noise; `gain`: of its find."""
+    present = one.whitening.present & other.whitening.present
+
+    def evidence(found: Search) -> float:
+        return evidence_of(found.null) + 2.0 * found.whitening.log_normaliser(present) - gain(found)
+
+    return min((one, other), key=evidence)

@@ -6,7 +6,7 @@ Works on any `Twin`. Gains are decreases of -2 log marginal likelihood over the 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -52,9 +52,8 @@ from dieseltwin.discovery.search.preparation import (
     recentred,
     tolerance_responses,
 )
-from dieseltwin.discovery.search.quick_inputs import is_made_again, with_inputs_between_rows
+from dieseltwin.discovery.search.quick_inputs import is_made_again, likelier, with_inputs_between_rows
 from dieseltwin.discovery.search.renewal import BENDS, about_the_leader
-from dieseltwin.discovery.search.settled import evidence_of
 from dieseltwin.discovery.search.standing import explain_standing
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.search.sums import best_onset
@@ -137,7 +136,7 @@ def _with_inputs_between_rows(found: Search, laws: bool, time_s: float | None) -
     here = prepare(other, found.settings)
     left = None if time_s is None else time_s - (time.perf_counter() - clock)
     here = carry_on(here, laws=laws, time_s=left)
-    return here if stands else _likelier(found, here)
+    return here if stands else likelier(found, here)
 
 
 def _with_names(found: Search, starts: Sequence[Fit]) -> Search:
@@ -349,17 +348,7 @@ def _with_reading_in_time(found: Search) -> Search:
 
 def _better_law(one: Search, other: Search) -> Search:
     """The search whose law explains more of the readings that both use."""
-    return _likelier(one, other, lambda found: 0.0 if found.law is None else found.law.score)
-
-
-def _likelier(one: Search, other: Search, gain: Callable[[Search], float] = Search.explained) -> Search:
-    """The search that explains more of the readings that both use, each with its own noise; `gain`: of its find."""
-    present = one.whitening.present & other.whitening.present
-
-    def evidence(found: Search) -> float:
-        return evidence_of(found.null) + 2.0 * found.whitening.log_normaliser(present) - gain(found)
-
-    return min((one, other), key=evidence)
+    return likelier(one, other, lambda found: 0.0 if found.law is None else found.law.score)
 
 
 def _law(found: Search) -> None:

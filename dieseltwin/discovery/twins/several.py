@@ -2,7 +2,8 @@
 
 The windows of all recordings stand one after another. So the likelihood, the search and the laws see one long
 recording: tolerances of maps and sensors are directions that act on all of it at once, and the health parameters of a
-recording act on its own rows. What a recording doesn't say (ambient, fuel, clocks) is its own too.
+recording act on its own rows. What a recording doesn't say (ambient, fuel, clocks) is its own too; how the compressor's
+maps go in other weather is the engine's, and one for all.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from dieseltwin.discovery.twins.diesel_circumstances import LoggedTwin
 from dieseltwin.discovery.twins.interface import Array, Hypothesis, Lanes, Point, some_lanes
 from dieseltwin.engine import EngineParameters
 from dieseltwin.errors import InputError
-from dieseltwin.recordings.circumstances import Circumstance, among_several, of_recording
+from dieseltwin.recordings.circumstances import CORRECTED, Circumstance, among_several, kind_of, of_recording
 from dieseltwin.settings.defaults import default_search
 
 _COLD_SPAN_K = 5.0
@@ -129,9 +130,11 @@ class SeveralTwin:
         self.deviation = first.deviation
         logged = {r: part for r, part in enumerate(self.parts) if isinstance(part, LoggedTwin)}
         self.beliefs = next((part.beliefs for part in logged.values()), default_search().circumstances)
-        self.circumstances: tuple[Circumstance, ...] = tuple(
-            replace(item, name=among_several(item.name, r)) for r, part in logged.items() for item in part.circumstances
-        )
+        items = {
+            among_several(item.name, r): replace(item, name=among_several(item.name, r))
+            for r, part in logged.items() for item in part.circumstances
+        }  # fmt: skip
+        self.circumstances: tuple[Circumstance, ...] = tuple(items.values())
         self.values: Mapping[str, float] = {
             among_several(name, r): value for r, part in logged.items() for name, value in part.values.items()
         }
@@ -279,10 +282,14 @@ class SeveralTwin:
         return other
 
     def circumstance_responses(self, lanes: Lanes, simulated: Array, names: Sequence[str]) -> Array:
-        """Responses (K, n, C) of the readings per unit of circumstances, each in the rows of its own recording."""
+        """Responses (K, n, C) of the readings per unit of circumstances, each in the rows of its own recording, of the
+        engine's own in those of all recordings in which they are open."""
         out = np.zeros((len(names), *simulated.shape))
         for r, (part, rows) in enumerate(zip(self.parts, self.rows, strict=True)):
             own = of_recording({name: float(k) for k, name in enumerate(names)}, r)
+            if isinstance(part, LoggedTwin):
+                there = {item.name for item in part.circumstances}
+                own = {name: k for name, k in own.items() if kind_of(name) != CORRECTED or name in there}
             if own and isinstance(part, LoggedTwin):
                 at = np.array([int(k) for k in own.values()])
                 out[at, rows] = part.circumstance_responses(self._lanes_of(r, lanes), simulated[rows], list(own))

@@ -9,7 +9,7 @@ import pytest
 
 from dieseltwin.discovery.reference import faults
 from dieseltwin.discovery.reference.faults import MAIN, fitted_size, main_faults
-from dieseltwin.discovery.reference.learn import _Joint
+from dieseltwin.discovery.reference.joint import Joint
 from dieseltwin.discovery.reference.part import Part
 from dieseltwin.discovery.twins.interface import Hypothesis
 from dieseltwin.engine import we2011
@@ -75,7 +75,7 @@ def test_errors_of_maps_that_explain_more_keep_a_fault_unsaid(part: Part):
 
 def test_a_leak_in_the_engine_is_fitted_at_its_size(part: Part, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(faults, "MAIN", ("exhaust_leak",))
-    joint = _Joint([part], part.prior)
+    joint = Joint([part], part.prior)
     joint.fit(12, 0.02)
     joint.whiten_anew()
     before = (joint.x.copy(), joint.cost(), part.local.copy())

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from dieseltwin.challenge import map_errors
+from dieseltwin.discovery.reference.evidence import Evidence, combined
 from dieseltwin.discovery.reference.further import further_errors, log_evidence
-from dieseltwin.discovery.reference.learn import Evidence, combined
 from dieseltwin.engine import constants, we2011
 from dieseltwin.engine.binding import numpy_model
 from dieseltwin.engine.map_corrections import (

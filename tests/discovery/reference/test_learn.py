@@ -14,7 +14,8 @@ from dieseltwin.challenge.routes import draw_driving
 from dieseltwin.challenge.sensors import SensorSet, read
 from dieseltwin.discovery.reference import part as part_module
 from dieseltwin.discovery.reference.evidence import Learned, combined
-from dieseltwin.discovery.reference.learn import _Joint, learn, learn_engine
+from dieseltwin.discovery.reference.joint import Joint
+from dieseltwin.discovery.reference.learn import learn, learn_engine
 from dieseltwin.discovery.reference.part import Part
 from dieseltwin.engine import HEALTH, we2011
 from dieseltwin.errors import InputError
@@ -81,7 +82,7 @@ def test_neither_order_nor_repetition_matters(learned: Learned, recordings):
 
 def test_what_maps_take_up_is_no_suspicion_before_a_fit_is_done(recordings):
     prior = prior_belief(we2011.PARAMETERS, MAP_RMS)
-    begun = _Joint([Part(recordings[0], we2011.PARAMETERS, prior, MAP_RMS)], prior)
+    begun = Joint([Part(recordings[0], we2011.PARAMETERS, prior, MAP_RMS)], prior)
     assert begun.suspicions(default_learn().suspicious_gain) == ()
 
 

@@ -17,6 +17,7 @@ from dieseltwin.discovery.twins.several import Occasion, SeveralTwin, profiles_o
 from dieseltwin.discovery.verdict.over_recordings import profile_words
 from dieseltwin.engine import we2011
 from dieseltwin.errors import InputError
+from dieseltwin.recordings.circumstances import CORRECTED
 from dieseltwin.recordings.dates import NAME, ORDER, Dated
 from dieseltwin.recordings.reader import recording
 from tests.api.simulated import drive
@@ -112,6 +113,26 @@ def test_circumstances_are_those_of_each_recording():
     change = moved.simulate(lanes)[0] - simulated
     assert not change[twin.rows[0]].any() and not response[twin.rows[0]].any()
     assert np.abs(change - 0.5 * response).max() < 0.05 * np.abs(change).max()
+
+
+def test_the_compressor_is_one_in_all_recordings_of_other_weather():
+    own = we2011.PARAMETERS.replace(k_cflow=0.5, k_cspeed=0.5)
+    days = [recording(drive(40.0, seed=k)) for k in (1, 2, 3)]
+    weather = ((own.p_cmap, own.T_cmap), (9e4, own.T_cmap), (9e4, 280.0))
+    parts = [LoggedTwin(replace(day, p_amb_pa=p_amb, t_amb_k=t_amb), own)
+             for day, (p_amb, t_amb) in zip(days, weather, strict=True)]  # fmt: skip
+    twin = SeveralTwin(parts, [Occasion(30.0 * k, t_amb) for k, (_, t_amb) in enumerate(weather)])
+    names = [item.name for item in twin.circumstances if item.kind == CORRECTED]
+    assert names == ["corrected:k_cflow", "corrected:k_cspeed"]
+    assert {item.recording for item in twin.circumstances if item.kind == CORRECTED} == {None}
+    lanes = first_fit(twin).lanes()
+    simulated = twin.simulate(lanes)[0]
+    moved = twin.under({"corrected:k_cflow": 0.55}, frozenset(), like=True)
+    assert moved.values == {"corrected:k_cflow": 0.55} and {part.engine.k_cflow for part in moved.parts} == {0.55}
+    change, response = moved.simulate(lanes)[0] - simulated, twin.circumstance_responses(lanes, simulated, names)
+    for rows in twin.rows[1:]:
+        assert np.abs(change[rows] - 0.05 * response[0][rows]).max() < 0.05 * np.abs(change[rows]).max()
+    assert not response[:, twin.rows[0]].any() and not response[1][twin.rows[1]].any() and response[1].any()
 
 
 def test_windows_that_are_cut_under_other_circumstances_are_cut_there_alone():
