@@ -30,7 +30,7 @@ from dieseltwin.engine import HEALTH, EngineParameters, we2011
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.engine.learned_file import learned_beside
 from dieseltwin.errors import InputError
-from dieseltwin.learning.files import LearnedEngine, learned_engine_of, overlap, save_learned, untold
+from dieseltwin.learning.files import LearnedEngine, learned_engine_of, save_learned, untold
 from dieseltwin.notes import Note, of_reading
 from dieseltwin.recordings.channels import SENSORS
 from dieseltwin.recordings.circumstances import TIME_SHIFT, kind_of, put_right
@@ -38,7 +38,7 @@ from dieseltwin.recordings.dates import MODIFIED, ORDER, Dated, in_time_order
 from dieseltwin.recordings.liveliest import liveliest, minutes_of
 from dieseltwin.recordings.named_columns import Imported
 from dieseltwin.recordings.reader import Recording, read_recording
-from dieseltwin.recordings.shared_rows import refuse_overlapping, refuse_shared
+from dieseltwin.recordings.shared_rows import overlap, refuse_overlapping, refuse_shared
 from dieseltwin.report.beside import begin_ahead, begin_beside, ready_beside
 from dieseltwin.report.circumstance_words import alike_words, blameless_words, circumstances_words, compressor_words
 from dieseltwin.report.discovery_words import sentence as in_words

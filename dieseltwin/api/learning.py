@@ -24,7 +24,7 @@ from dieseltwin.engine.map_corrections import ARGUMENTS, CORRECTED_POINTS, basis
 from dieseltwin.errors import InputError
 from dieseltwin.learning.belief import HEALTH_AT, prior_belief
 from dieseltwin.learning.domain import KNOWN_SHARE, functions_on_maps, share_of_box, uncertainty_along
-from dieseltwin.learning.files import LearnedEngine, going_on, learned_engine_of, overlap, save_learned, seal_of
+from dieseltwin.learning.files import LearnedEngine, going_on, learned_engine_of, save_learned, seal_of
 from dieseltwin.learning.levels import health_covariance
 from dieseltwin.learning.weather import exponent_words, of_own_weather
 from dieseltwin.notes import Note, of_reading
@@ -32,7 +32,7 @@ from dieseltwin.paths import YAML_ENDINGS
 from dieseltwin.petrol.parameters import PetrolParameters
 from dieseltwin.recordings.columns import Columns
 from dieseltwin.recordings.reader import Recording
-from dieseltwin.recordings.shared_rows import distinct, refuse_overlapping
+from dieseltwin.recordings.shared_rows import distinct, overlap, refuse_overlapping
 from dieseltwin.report import quantities
 from dieseltwin.report.discovery_words import magnitude_words
 from dieseltwin.report.learned import corrections

@@ -16,7 +16,7 @@ import base64
 import hashlib
 import io
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
@@ -27,7 +27,7 @@ import pandas as pd
 import yaml
 
 from dieseltwin.atomic import write_bytes, write_text
-from dieseltwin.engine import HEALTH, MEASURED, EngineParameters, load_engine
+from dieseltwin.engine import HEALTH, EngineParameters, load_engine
 from dieseltwin.engine.learned_file import (
     LEARN_AGAIN,
     LEARNED,
@@ -51,10 +51,8 @@ from dieseltwin.learning.belief import (
 from dieseltwin.learning.faults import FaultBeside
 from dieseltwin.learning.weather import EXPONENTS, WEATHER, Exponent, OfType, beside_exponents, of_own_weather
 from dieseltwin.notes import Note, counted
-from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.derived import Made
 from dieseltwin.recordings.reader import Recording
-from dieseltwin.recordings.shared_rows import share_known
 from dieseltwin.sealed import sealed_text
 from dieseltwin.settings.names import listed
 from dieseltwin.settings.search import CircumstanceSettings
@@ -387,19 +385,3 @@ def _recording(row: dict[str, Any], data: bytes) -> Recording:
     began = None if row.get("began") is None else datetime.fromisoformat(row["began"])
     return Recording(columns["time_s"], columns, row["p_amb_pa"], row["t_amb_k"], None, row["sha256"], began=began,
                      made=Made(dict(row.get("made", ()))), standing=bool(row.get("standing", False)))
-
-
-def overlap(recordings: Sequence[Recording], other: Recording) -> float:
-    """Share of another recording's rows that are also in some recordings, 0-1: alike in all inputs and in the readings
-    that both have, of which one sensor's at least."""
-    alike: dict[tuple[str, ...], list[Recording]] = {}
-    for item in recordings:
-        names = {*INPUTS, *MEASURED} & set(other.columns) & set(item.columns)
-        if not names.isdisjoint(MEASURED):
-            alike.setdefault(tuple(sorted(names)), []).append(item)
-    shares = (share_known(_rows(other, n), (_rows(item, n) for item in some)) for n, some in alike.items())
-    return max(shares, default=0.0)
-
-
-def _rows(item: Recording, names: Sequence[str]) -> np.ndarray:
-    return np.stack([item.columns[name] for name in names], axis=1)

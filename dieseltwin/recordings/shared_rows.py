@@ -9,7 +9,10 @@ from typing import Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from dieseltwin.engine import MEASURED
 from dieseltwin.errors import InputError
+from dieseltwin.recordings.channels import INPUTS
+from dieseltwin.recordings.reader import Recording
 
 Rows = NDArray[np.float64]
 
@@ -92,3 +95,19 @@ def refuse_shared(where: str, share: float) -> None:
             where, f"{100 * share:.0f} % of its rows are in the reference",
             "driving that the engine wasn't learned from", "judge another recording, or learn without this one",
         )  # fmt: skip
+
+
+def overlap(recordings: Sequence[Recording], other: Recording) -> float:
+    """Share of another recording's rows that are also in some recordings, 0-1: alike in all inputs and in the readings
+    that both have, of which one sensor's at least."""
+    alike: dict[tuple[str, ...], list[Recording]] = {}
+    for item in recordings:
+        names = {*INPUTS, *MEASURED} & set(other.columns) & set(item.columns)
+        if not names.isdisjoint(MEASURED):
+            alike.setdefault(tuple(sorted(names)), []).append(item)
+    shares = (share_known(_rows(other, n), (_rows(item, n) for item in some)) for n, some in alike.items())
+    return max(shares, default=0.0)
+
+
+def _rows(item: Recording, names: Sequence[str]) -> np.ndarray:
+    return np.stack([item.columns[name] for name in names], axis=1)

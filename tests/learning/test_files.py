@@ -17,7 +17,7 @@ from dieseltwin.learning import files
 from dieseltwin.learning.belief import MAPS_AT, Belief, prior_belief
 from dieseltwin.learning.domain import domain_of
 from dieseltwin.learning.faults import FaultBeside
-from dieseltwin.learning.files import LearnedEngine, going_on, load_learned, overlap, save_learned
+from dieseltwin.learning.files import LearnedEngine, going_on, load_learned, save_learned
 from dieseltwin.learning.weather import (
     EXPONENTS,
     WEATHER,
@@ -29,7 +29,7 @@ from dieseltwin.learning.weather import (
 )
 from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.reader import Recording, recording
-from dieseltwin.recordings.shared_rows import distinct
+from dieseltwin.recordings.shared_rows import distinct, overlap
 from dieseltwin.settings.defaults import default_search
 
 LEAK = Term(effect="boost_leak", magnitude=2.5e-5)
