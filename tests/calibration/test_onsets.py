@@ -17,7 +17,7 @@ from dieseltwin.calibration.steady_model import SteadyModel, term_values
 from dieseltwin.calibration.told_apart import sensor_notes
 from dieseltwin.calibration.verdict import details, document
 from dieseltwin.engine import we2011
-from dieseltwin.engine.terms import Term
+from dieseltwin.engine.terms import Term, effect_terms
 from dieseltwin.recordings.columns import Columns
 from dieseltwin.recordings.steady_points import SINCE, SteadyPoints
 from dieseltwin.report.points import sentence
@@ -64,7 +64,7 @@ def test_the_document_and_the_words_say_since_which_point(found: PointsDiscovery
 
 
 def test_the_repaired_engine_is_that_of_the_last_point(found: PointsDiscovery) -> None:
-    (term,) = found.engine().terms
+    (term,) = effect_terms(found.engine().terms)
     assert isinstance(term, Term) and term.effect == "boost_leak" and term.onset_s is None
 
 

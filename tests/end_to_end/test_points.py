@@ -22,7 +22,7 @@ from dieseltwin.calibration.verdict import document
 from dieseltwin.cli.app import main
 from dieseltwin.discovery.verdict.document import Discrepancy, load_discrepancy
 from dieseltwin.engine import load_engine, we2011
-from dieseltwin.engine.terms import Term
+from dieseltwin.engine.terms import Term, effect_terms
 from dieseltwin.recordings.steady_points import STATES, SteadyPoints
 from dieseltwin.report.discovery_words import magnitude_words
 from dieseltwin.report.points import sentence
@@ -75,7 +75,7 @@ def test_a_flap_is_found_and_sized(flap: Calibrated) -> None:
 
 def test_the_size_is_one_everywhere(flap: Calibrated) -> None:
     (effect,) = flap.document.effects
-    (term,) = load_engine(flap.found / "repaired.yaml").terms
+    (term,) = effect_terms(load_engine(flap.found / "repaired.yaml").terms)
     assert isinstance(term, Term) and term.effect == "exhaust_flap"
     assert (term.magnitude, term.std) == (effect.magnitude, effect.std)
     assert magnitude_words(effect.name, effect.magnitude or 0.0, effect.std, effect.unit) in (

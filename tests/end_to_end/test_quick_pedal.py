@@ -43,7 +43,7 @@ def test_what_inputs_do_between_the_rows_is_no_fault() -> None:
 
 @pytest.mark.thorough
 def test_as_lines_from_row_to_row_it_would_be_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(search_run, "with_inputs_between_rows", lambda twin, left: None)
+    monkeypatch.setattr(search_run, "with_inputs_between_rows", lambda found: (None, False))
     assert discover(_recorded_at_5_hz({}), we2011.PARAMETERS).document.mismatch
 
 
