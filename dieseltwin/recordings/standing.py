@@ -38,18 +38,31 @@ def standing(points: SteadyPoints) -> list[Recording]:
     if points.size < _FEWEST:
         raise InputError(where, counted(points.size, "settled point"), f"{_FEWEST} or more", "measure more points")
     _refuse_turned(points, where)
-    p_amb, t_amb = points["p_amb_pa"], points["t_amb_k"]
-    weather = np.stack([np.round(p_amb / _SAME_PRESSURE_PA), np.round(t_amb / _SAME_TEMPERATURE_K)], axis=1)
-    if np.ptp(p_amb) <= _SAME_PRESSURE_PA and np.ptp(t_amb) <= _SAME_TEMPERATURE_K:
-        weather[:] = 0.0  # rounding may part what is near
-    days, of_day = np.unique(weather, axis=0, return_inverse=True)
-    if len(days) > _MOST_WEATHERS:
+    weather = np.stack([points["p_amb_pa"] / _SAME_PRESSURE_PA, points["t_amb_k"] / _SAME_TEMPERATURE_K], axis=1)
+    of_day = _days(weather)
+    days = int(of_day.max()) + 1
+    if days > _MOST_WEATHERS:
+        apart = f"{np.ptp(points['t_amb_k']):.0f} K and {np.ptp(points['p_amb_pa']) / 1e3:.1f} kPa apart"
         raise InputError(
-            where, f"points in {len(days)} weathers ({np.ptp(t_amb):.0f} K and {np.ptp(p_amb) / 1e3:.1f} kPa apart)",
+            where, f"points in {days} weathers ({apart})",
             f"{_MOST_WEATHERS} at most (each within {_SAME_TEMPERATURE_K:g} K and {_SAME_PRESSURE_PA / 1e3:g} kPa)",
             "learn from the points of some days at a time",
         )  # fmt: skip
-    return [_held(points, np.flatnonzero(of_day.ravel() == day)) for day in range(len(days))]
+    return [_held(points, np.flatnonzero(of_day == day)) for day in range(days)]
+
+
+def _days(weather: NDArray[np.float64]) -> NDArray[np.int_]:
+    """(n,) number of the weather that each point belongs to; weather (n, 2) in units of what counts as the same.
+
+    Each weather is that about the point with the most others near it, of those that are left.
+    """
+    near = np.abs(weather[:, None] - weather).max(axis=2) <= 0.5
+    of_day, day = np.full(len(weather), -1), 0
+    while (left := of_day < 0).any():
+        most = int(np.argmax(np.where(left, (near & left).sum(axis=1), 0)))
+        of_day[left & near[most]] = day
+        day += 1
+    return of_day
 
 
 def _refuse_turned(points: SteadyPoints, where: str) -> None:

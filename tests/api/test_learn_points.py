@@ -88,3 +88,11 @@ def test_what_no_reference_can_be_made_of_is_refused() -> None:
         dt.learn(settled(OWN, 60, 3).assign(u_vgt_pct=lambda t: 100.0 - t["u_vgt_pct"]))
     with pytest.raises(InputError, match=r"column w_egr_kg_s: got none .* go without: --sensors"):
         dt.learn(table.drop(columns="w_egr_kg_s"))
+
+
+def test_weather_that_drifts_within_a_day_is_one() -> None:
+    """Whatever round number it goes across; points in between two days go to that with more of them."""
+    table = settled(OWN, 9, 8).assign(t_amb_k=[290.1, 291.0, 292.9, 291.5, 292.2, 290.5, 291.2, 290.8, 303.0])
+    days = standing(points(table, needed=()))
+    assert [len(day.pieces()) for day in days] == [8, 1]
+    assert days[1].t_amb_k == 303.0
