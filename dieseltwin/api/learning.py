@@ -22,7 +22,7 @@ from dieseltwin.discovery.verdict.checks import check_recording, check_rows
 from dieseltwin.engine import HEALTH, MEASURED, EngineParameters
 from dieseltwin.engine.map_corrections import ARGUMENTS, CORRECTED_POINTS, basis
 from dieseltwin.errors import InputError
-from dieseltwin.learning.belief import HEALTH_AT, prior_belief
+from dieseltwin.learning.belief import HEALTH_AT, about_corrections, prior_belief
 from dieseltwin.learning.domain import KNOWN_SHARE, functions_on_maps, share_of_box, uncertainty_along
 from dieseltwin.learning.files import LearnedEngine, going_on, learned_engine_of, save_learned, seal_of
 from dieseltwin.learning.levels import health_covariance
@@ -161,6 +161,12 @@ def _learn_diesel(
     notes = going_on(str(engine) if isinstance(engine, str | Path) else "the engine", base, before)
     if before is not None and map_error is not None and map_error != before.map_rms:
         raise InputError("--map-error", f"{map_error:g}", f"{before.map_rms:g}, as {engine} says", "leave it out")
+    settings = default_learn()
+    size = before.map_rms if before is not None else settings.map_error if map_error is None else map_error
+    base, about = about_corrections(base, size)
+    if about is not None and siblings:
+        raise InputError("--siblings", "beside an engine whose maps are corrected", "siblings of the base as it was",
+                         "name the engine without corrections, or leave the siblings out")  # fmt: skip
     sources: list[Recording] = []
     for item in recordings:
         for source in of_a_healthy_engine(item, channels, base):
@@ -176,11 +182,9 @@ def _learn_diesel(
     together = [*earlier, *(item for item in distinct(sources) if item.rows_sha256 not in known_rows)]
     check_rows(*together)
     refuse_overlapping(together, overlap, first=len(earlier))
-    settings = default_learn()
-    size = before.map_rms if before is not None else settings.map_error if map_error is None else map_error
     own = {item.sha256 for item in (*sources, *earlier)}
     others = siblings_of(siblings, base, size, own)
-    prior, of_type = what_they_say(others.values(), of_own_weather(base, together), size) if others else (None, None)
+    prior, of_type = what_they_say(others.values(), of_own_weather(base, together), size) if others else (about, None)
     known, found = learn_engine(sources, base, size, before, settings, prior, of_type)
     _check_misfits(known, settings.misfit_max)
     _check_told(known)
@@ -287,9 +291,11 @@ class CorrectedMap:
     share: float
 
 
-def corrected_maps(learned: LearnedEngine) -> list[CorrectedMap]:
-    """Every map of which something was learned, where the belief was cut to less than half."""
+def corrected_maps(learned: LearnedEngine, about: np.ndarray | None = None) -> list[CorrectedMap]:
+    """Every map of which something was learned, where the belief was cut to less than half; `about`: coefficients (K,)
+    from which the corrections count, None for none."""
     belief, functions = learned.belief, basis()
+    corrections = belief.coefficients if about is None else belief.coefficients - about
     tables = functions_on_maps(learned.base)
     uncertain = uncertainty_along(belief, tables)
     prior = uncertainty_along(prior_belief(learned.base, learned.errors), tables)
@@ -297,7 +303,7 @@ def corrected_maps(learned: LearnedEngine) -> list[CorrectedMap]:
     for m, point in enumerate(CORRECTED_POINTS):
         if point in learned.domain:
             inside, at = uncertain[m] < KNOWN_SHARE * prior[m], functions.maps == m
-            parts = (prior[m][inside], belief.coefficients[at] @ tables[at][:, inside], uncertain[m][inside])
+            parts = (prior[m][inside], corrections[at] @ tables[at][:, inside], uncertain[m][inside])
             believed, corrected, known_to = (float(np.sqrt(np.mean(part**2))) for part in parts)
             rows.append(CorrectedMap(point, believed, corrected, known_to, share_of_box(inside)))
     return rows
@@ -333,7 +339,7 @@ def _check_told(known: LearnedEngine) -> None:
 
 def _far_off(known: LearnedEngine) -> list[str]:
     """That maps had to be corrected by far more than what is believed of them, the worst one."""
-    off = max(corrected_maps(known), key=lambda row: row.corrected, default=None)
+    off = max(corrected_maps(known, known.believed.coefficients), key=lambda row: row.corrected, default=None)
     if off is None or off.corrected <= _FAR_OFF * known.map_rms:
         return []
     return [

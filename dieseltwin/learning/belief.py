@@ -10,7 +10,7 @@ from scipy.linalg import cholesky
 
 from dieseltwin.engine import HEALTH, HEALTH_UNITS, MEASURED, EngineParameters
 from dieseltwin.engine.map_corrections import basis
-from dieseltwin.engine.terms import SENSOR_UNITS
+from dieseltwin.engine.terms import SENSOR_UNITS, CorrectionTerm, corrections_in
 from dieseltwin.least_squares import symmetric_root
 from dieseltwin.sensors import SENSORS
 
@@ -144,6 +144,19 @@ def prior_belief(engine: EngineParameters, map_rms: float, further: Further = NO
         SENSOR_OFFSET * np.array([sensor.usual for sensor in SENSORS]),
     ])  # fmt: skip
     return with_further(Belief(mean, np.diag(std**2)), map_rms, further)
+
+
+def about_corrections(engine: EngineParameters, map_rms: float) -> tuple[EngineParameters, Belief | None]:
+    """An engine without the corrections of its maps, and what is believed about these before any recording; None where
+    it has none. Arguments as of `prior_belief`."""
+    corrections = corrections_in(engine.terms)
+    if corrections is None:
+        return engine, None
+    bare = engine.replace(terms=tuple(term for term in engine.terms if not isinstance(term, CorrectionTerm)))
+    usual = prior_belief(bare, map_rms)
+    mean = usual.mean.copy()
+    mean[MAPS_AT] = corrections
+    return bare, Belief(mean, usual.covariance)
 
 
 def with_further(belief: Belief, map_rms: float, further: Further) -> Belief:

@@ -241,14 +241,14 @@ def going_on(name: str, base: EngineParameters, before: LearnedEngine | None) ->
         before: what was learned of it; None for nothing.
 
     Raises:
-        InputError: corrections of maps and nothing that is known of them, effects that were found since.
+        InputError: effects that were found since.
     """
     as_learned = "name the file that `dieseltwin learn` wrote"
     if before is None:
-        if untold(base, None):
-            raise InputError("--engine", f"{name}, whose maps are corrected without a word of how well that is known",
-                             "an engine without corrections, or a learned one", as_learned)  # fmt: skip
-        return []
+        if not untold(base, None):
+            return []
+        return [f"note: the maps of {name} are corrected without a word of how well that is known: learning begins "
+                "there, and as large errors are believed about them as of maps without corrections"]  # fmt: skip
     if before.found:
         effects = [term.point if isinstance(term, LawTerm) else term.slot for term in before.found]
         raise InputError("--engine", f"{name}, repaired by {listed(list(dict.fromkeys(effects)))}",

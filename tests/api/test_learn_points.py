@@ -12,6 +12,8 @@ import dieseltwin as dt
 from dieseltwin.api.learning import LearnedResult
 from dieseltwin.engine import MEASURED, EngineParameters, Inputs, we2011
 from dieseltwin.engine import simulate as simulated
+from dieseltwin.engine.map_corrections import basis
+from dieseltwin.engine.terms import CorrectionTerm, corrections_in
 from dieseltwin.errors import InputError
 from dieseltwin.learning.files import load_learned
 from dieseltwin.recordings.noise import SETTLED_NOISE
@@ -96,3 +98,18 @@ def test_weather_that_drifts_within_a_day_is_one() -> None:
     days = standing(points(table, needed=()))
     assert [len(day.pieces()) for day in days] == [8, 1]
     assert days[1].t_amb_k == 303.0
+
+
+def test_learning_begins_at_corrections_that_an_engine_has(tmp_path: Path) -> None:
+    """As of what `discover` repaired on points: more is learned of the maps, about where they were corrected to."""
+    corrections = 0.015 * np.random.default_rng(9).standard_normal(len(basis().names)) * basis().usual
+    corrected = OWN.replace(terms=(CorrectionTerm(coefficients=tuple(corrections)),))
+    found = dt.learn(settled(corrected, 20, 10), corrected)
+    assert isinstance(found, LearnedResult)
+    assert any("learning begins there" in line for line in found.lines())
+    assert corrections_in(found.known.base.terms) is None
+    assert np.std(found.known.belief.coefficients - corrections) < 0.5 * np.std(corrections)
+    again = load_learned(found.save(tmp_path / "mine.yaml"))
+    assert again is not None and again.engine == found.engine
+    with pytest.raises(InputError, match="beside an engine whose maps are corrected"):
+        dt.learn(settled(corrected, 8, 11), corrected, siblings=[tmp_path / "mine.yaml"])

@@ -275,8 +275,7 @@ def test_learning_goes_on_from_an_engine_as_it_was_learned(two):
         going_on("found/engine.yaml", known.base, _repaired(known))
     worn = replace(known, repaired=known.engine.replace(A_egrmax=3.5e-4))
     assert "isn't learned from" in going_on("found/engine.yaml", known.base, worn)[0]
-    with pytest.raises(InputError, match="corrected without a word"):
-        going_on("old.yaml", known.engine, None)
+    assert "corrected without a word" in going_on("old.yaml", known.engine, None)[0]
 
 
 @pytest.mark.parametrize(("before", "after"), [("c_m: [1.35634407,", "c_m: [1.4,"), ("eta_cmax: 0.7364\n", "")])
