@@ -22,7 +22,7 @@ from scipy.special import gammaln
 from dieseltwin.arrays import Array
 from dieseltwin.calibration.coefficients import Coefficient
 from dieseltwin.calibration.steady_model import SteadyModel
-from dieseltwin.recordings.noise import FLAT, SETTLED_NOISE
+from dieseltwin.recordings.noise import SETTLED_NOISE, flat_below
 from dieseltwin.recordings.steady_points import STATES, SteadyPoints
 
 STATE_STEP = 5e-4  # relative, of central differences in the states
@@ -77,15 +77,14 @@ class Estimate:
 
 
 def reading_noise(x: Array, noise: Mapping[str, float] | None = None) -> Array:
-    """Standard deviation of readings over what they read, (n, 6) [-]: near nought a sensor is as unsure as at `FLAT`.
+    """Standard deviation of readings over what they read, (n, 6) [-]: below `flat_below` it is as unsure as there.
 
     Args:
         x: (n, 6) readings, nan where there is none.
         noise: relative standard deviation of each in the middle of its range and above [-]; None: `SETTLED_NOISE`.
     """
     size, relative = np.abs(x), np.array([(noise or SETTLED_NOISE)[name] for name in STATES])
-    least = FLAT * np.nanmedian(size, axis=0)
-    return np.asarray(relative * np.maximum(1.0, least / np.where(size > 0.0, size, np.inf)))
+    return np.asarray(relative * np.maximum(1.0, flat_below(x) / np.where(size > 0.0, size, np.inf)))
 
 
 def state_jacobian(model: SteadyModel, points: SteadyPoints, x: Array, values: Mapping[str, float]) -> Array:

@@ -19,11 +19,9 @@ import numpy as np
 
 from dieseltwin.calibration.calibrate import Calibration, counted_rows
 from dieseltwin.calibration.coefficients import Coefficient
-from dieseltwin.calibration.likelihood import estimate
+from dieseltwin.calibration.likelihood import FULL_ITERATIONS, estimate
 from dieseltwin.calibration.matched_values import BEST_AT, SLOPE_OF_RATIO, known_turbine, matched_values
 from dieseltwin.recordings.steady_points import JUDGED
-
-ITERATIONS = 20
 
 
 def beside_best_ratio(here: Calibration, free: Sequence[Coefficient], names: Sequence[str]) -> dict[str, float]:
@@ -40,7 +38,7 @@ def beside_best_ratio(here: Calibration, free: Sequence[Coefficient], names: Seq
     if not names or JUDGED not in here.points or not held or known_turbine(here.base, here.model.engine):
         return {}
     start: Mapping[str, float] = {**here.start, **matched_values(here.points, here.model.engine, BEST_AT)}
-    found = estimate(here.model, here.points, free, start, iterations=ITERATIONS, rows=counted_rows(here.model, free),
-                     inflate=True)  # fmt: skip
+    found = estimate(here.model, here.points, free, start, iterations=FULL_ITERATIONS,
+                     rows=counted_rows(here.model, free), inflate=True)  # fmt: skip
     values = found.values()
     return {name: values[name] for name in names if np.isfinite(values[name])}

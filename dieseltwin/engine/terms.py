@@ -336,10 +336,14 @@ def corrections_in(terms: Sequence[OneTerm]) -> np.ndarray | None:
     return np.sum(found, axis=0) if found else None
 
 
+def without_corrections(terms: Sequence[OneTerm]) -> tuple[EffectTerm | LawTerm, ...]:
+    """Effects and laws: all terms but corrections of the maps."""
+    return tuple(term for term in terms if not isinstance(term, CorrectionTerm))
+
+
 def with_corrections(terms: Sequence[OneTerm], coefficients: np.ndarray) -> tuple[OneTerm, ...]:
     """The terms with these corrections (K,) of the maps in the place of others [-]."""
-    others = tuple(term for term in terms if not isinstance(term, CorrectionTerm))
-    return (*others, CorrectionTerm(coefficients=tuple(float(value) for value in coefficients)))
+    return (*without_corrections(terms), CorrectionTerm(coefficients=tuple(float(value) for value in coefficients)))
 
 
 def as_later(terms: Sequence[OneTerm]) -> tuple[OneTerm, ...]:

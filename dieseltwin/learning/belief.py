@@ -10,7 +10,7 @@ from scipy.linalg import cholesky
 
 from dieseltwin.engine import HEALTH, HEALTH_UNITS, MEASURED, EngineParameters
 from dieseltwin.engine.map_corrections import basis
-from dieseltwin.engine.terms import SENSOR_UNITS, CorrectionTerm, corrections_in
+from dieseltwin.engine.terms import SENSOR_UNITS, corrections_in, without_corrections
 from dieseltwin.least_squares import symmetric_root
 from dieseltwin.sensors import SENSORS
 
@@ -152,7 +152,7 @@ def about_corrections(engine: EngineParameters, map_rms: float) -> tuple[EngineP
     corrections = corrections_in(engine.terms)
     if corrections is None:
         return engine, None
-    bare = engine.replace(terms=tuple(term for term in engine.terms if not isinstance(term, CorrectionTerm)))
+    bare = engine.replace(terms=without_corrections(engine.terms))
     usual = prior_belief(bare, map_rms)
     mean = usual.mean.copy()
     mean[MAPS_AT] = corrections

@@ -37,7 +37,7 @@ from dieseltwin.engine.learned_file import (
     learned_bytes,
     replaced_by,
 )
-from dieseltwin.engine.terms import CorrectionTerm, EffectTerm, LawTerm, OneTerm, corrections_in
+from dieseltwin.engine.terms import CorrectionTerm, EffectTerm, LawTerm, OneTerm, corrections_in, without_corrections
 from dieseltwin.errors import InputError
 from dieseltwin.learning.belief import (
     NOTHING_FURTHER,
@@ -143,7 +143,7 @@ class LearnedEngine:
     @property
     def found(self) -> tuple[EffectTerm | LawTerm, ...]:
         """Terms that the engine has and wasn't learned with; corrections of maps aren't among them."""
-        return tuple(term for term in _effects(self.engine) if term not in self.base.terms)
+        return tuple(term for term in without_corrections(self.engine.terms) if term not in self.base.terms)
 
     @property
     def moved(self) -> np.ndarray | None:
@@ -174,11 +174,6 @@ class LearnedEngine:
         driven = sum(not item.standing for item in self.recordings)
         parts = [f"{self.minutes:.1f} minutes of {counted(driven, 'recording')}"] if driven else []
         return " and ".join(parts + ([counted(self.points, "settled point")] if self.points else []))
-
-
-def _effects(engine: EngineParameters) -> tuple[EffectTerm | LawTerm, ...]:
-    """Terms of an engine but for corrections of its maps."""
-    return tuple(term for term in engine.terms if not isinstance(term, CorrectionTerm))
 
 
 def save_learned(learned: LearnedEngine, path: Path) -> Path:
@@ -213,7 +208,7 @@ def _written_terms(learned: LearnedEngine) -> tuple[OneTerm, ...]:
         return learned.base.terms
     moved = learned.moved
     on_top = () if moved is None else (CorrectionTerm(coefficients=tuple(map(float, moved))),)
-    return (*_effects(learned.repaired), *on_top)
+    return (*without_corrections(learned.repaired.terms), *on_top)
 
 
 def _named_now(path: Path) -> bytes | None:

@@ -21,7 +21,7 @@ SETTLED_NOISE: Mapping[str, float] = {
 }  # fmt: skip
 """Relative standard deviation of a settled point's reading on a test bed, if none is given [-]."""
 
-FLAT = 0.5  # of the middle reading: below, a sensor's error no longer falls with what it reads
+_FLAT = 0.5  # of the middle reading: below, a sensor's error no longer falls with what it reads
 
 _MEDIAN_BIAS = 1.01  # of a logarithm of medians over about 90 overlapping blocks, measured on 20 draws at three rho
 _LARGEST_RHO = 0.9
@@ -41,6 +41,11 @@ _OVER_NEXT = 2.0  # times the readings at the next number: noise that isn't cut 
 _LEAST_SCATTER = 0.2  # of the readings at the lowest number; a shut valve without noise has fewer just above it
 _REACH = 3.0  # standard deviations of the noise, from which next to nothing is cut off
 _BESIDE = 3  # readings on either side, whose medians say how high the channel is: not the reading itself, which is cut
+
+
+def flat_below(readings: Array) -> Array:
+    """Size of readings (n, C) below which their error no longer falls with it, (C,): at settled points."""
+    return np.asarray(_FLAT * np.nanmedian(np.abs(readings), axis=0))
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from dieseltwin.errors import InputError
 from dieseltwin.notes import counted
 from dieseltwin.recordings.channels import DIESEL_COLUMNS, TIME
 from dieseltwin.recordings.columns import Columns
-from dieseltwin.recordings.guess.physics import reversed_positions
+from dieseltwin.recordings.guess.physics import reversed_where_read
 from dieseltwin.recordings.named_columns import columns_sha256
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.recordings.steady_points import SteadyPoints
@@ -67,8 +67,7 @@ def _days(weather: NDArray[np.float64]) -> NDArray[np.int_]:
 
 def _refuse_turned(points: SteadyPoints, where: str) -> None:
     columns = {name: points[name] for name in DIESEL_COLUMNS if name in points and np.isfinite(points[name]).any()}
-    met = np.isfinite(np.stack(list(columns.values()))).all(axis=0)
-    for name, why in reversed_positions({name: values[met] for name, values in columns.items()}).items():
+    for name, why in reversed_where_read(columns).items():
         raise InputError(f"{where}: column {name}", why, "0 for shut, 100 for open",
                          "turn it round in a channel map (--channels): scale: -1, offset: 100")  # fmt: skip
 

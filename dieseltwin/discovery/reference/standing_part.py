@@ -11,7 +11,7 @@ from dieseltwin.discovery.twins.diesel_standing import StandingTwin
 from dieseltwin.discovery.twins.interface import Array, Lanes
 from dieseltwin.engine import EngineParameters
 from dieseltwin.learning.belief import Belief
-from dieseltwin.recordings.noise import FLAT, MAD_TO_STD, SETTLED_NOISE, Noise
+from dieseltwin.recordings.noise import MAD_TO_STD, SETTLED_NOISE, Noise, flat_below
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.settings.search import CircumstanceSettings
 
@@ -31,8 +31,7 @@ class StandingPart(Part):
 
     def _whitening(self, explained: Array | None = None) -> Whitening:
         measured = self.twin.measured
-        size = np.abs(measured)
-        unit = np.maximum(size, FLAT * np.nanmedian(size, axis=0))
+        unit = np.maximum(np.abs(measured), flat_below(measured))
         relative = usual = np.array([SETTLED_NOISE[name] for name in self.twin.channels])
         if explained is not None:
             left = np.nanmedian(np.abs(measured - explained) / unit, axis=0)

@@ -19,7 +19,7 @@ from dieseltwin.errors import InputError
 from dieseltwin.notes import Note
 from dieseltwin.recordings.channel_checks import channel_notes
 from dieseltwin.recordings.channels import INPUTS, foreign_hint
-from dieseltwin.recordings.guess.physics import reversed_positions
+from dieseltwin.recordings.guess.physics import reversed_where_read
 from dieseltwin.recordings.held import rows_between_readings
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.sensors import NEEDED
@@ -369,8 +369,7 @@ def check_fit(
 def _turned(recording: Recording) -> dict[str, str]:
     """Positions of a recording that seem to count the other way, with the reason."""
     columns = {"p_amb_pa": np.full(recording.time_s.size, recording.p_amb_pa), **recording.columns}
-    met = np.isfinite(np.stack(list(columns.values()))).all(axis=0)
-    return reversed_positions({name: values[met] for name, values in columns.items()}) if met.sum() > _MET else {}
+    return reversed_where_read(columns, _MET)
 
 
 def misfit_of(

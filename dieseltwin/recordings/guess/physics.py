@@ -338,6 +338,14 @@ def reversed_positions(columns: Mapping[str, np.ndarray]) -> dict[str, str]:
     return found
 
 
+def reversed_where_read(columns: Mapping[str, np.ndarray], more_than: int = 0) -> dict[str, str]:
+    """`reversed_positions` by the rows in which every column has a number; nothing by no more than so many rows."""
+    met = np.isfinite(np.stack(list(columns.values()))).all(axis=0)
+    if np.count_nonzero(met) <= more_than:
+        return {}
+    return reversed_positions({name: values[met] for name, values in columns.items()})
+
+
 def unchecked_positions(columns: Mapping[str, np.ndarray]) -> dict[str, str]:
     """Positions that move and whose direction no other channel could tell, with what to check."""
     tells = {"u_egr_pct": ({"w_egr_kg_s"}, {"w_c_kg_s", "p_im_pa", "n_e_rpm"}), "u_vgt_pct": ({"p_em_pa", "w_c_kg_s"},)}
