@@ -15,6 +15,7 @@ from tasks.cluster import task_runner
 from tasks.evaluation_plan import Plan, ensembles_of
 from tasks.launch import run_alone
 from tasks.prefect_task import submit
+from tasks.pretrain import trained_with
 from tasks.publish import publish, published
 from tasks.run_context import Pending, current, seed_for
 from tasks.settings import about, load_settings, network_files, own_settings, source_of
@@ -43,7 +44,7 @@ def evaluate(profile: str, only: list[str] | None = None) -> str:
     name = "evaluation-part" if only else "evaluation"
     plans = ensembles_of(settings, only or ())
     pending = _submit_ensembles(plans, settings, field, models)
-    trainings = {} if only else _submit_trainings(settings, lab, field)
+    trainings = {} if only else _submit_trainings(settings, lab, field, models)
     assembled = {}
     for plan in plans:
         parts = {f"part_{first:04d}": waiting.result() for first, waiting in pending[plan.trained_as].items()}
@@ -134,17 +135,22 @@ def _submit_ensembles(
     return pending
 
 
-def _submit_trainings(settings: dict[str, Any], lab: Artifact, field: Artifact) -> dict[str, Pending]:
-    """Repeated trainings of the operators, with and without label noise, and of the bodies as printed."""
+def _submit_trainings(
+    settings: dict[str, Any], lab: Artifact, field: Artifact, models: Artifact
+) -> dict[str, Pending]:
+    """Repeated trainings of the operators, with and without label noise, and of the bodies as printed.
+
+    As those of ``models/`` were trained: the table says how far the parts that the ensembles used scatter.
+    """
     pending = {}
-    config = settings["pretrain"]
+    operators, bodies = trained_with(models.path, "operators"), trained_with(models.path, "bodies_paper")
     for number in range(settings["evaluation"]["trainings"]):
         for labels, share in LABELS.items():
             pending[f"training_{labels}_{number:02d}"] = submit(
                 steps.operators_training,
                 lab=lab,
                 field=field,
-                config=config["operators"],
+                config=operators,
                 engine=settings["engine"],
                 seed=seed_for(settings["seed"], f"evaluation operators {number}") % 2**40,
                 label_noise_rel=share * settings["noise"]["label_rel"],
@@ -153,7 +159,7 @@ def _submit_trainings(settings: dict[str, Any], lab: Artifact, field: Artifact) 
         pending[f"training_bodies_{number:02d}"] = submit(
             steps.bodies_training,
             lab=lab,
-            config=config["bodies"],
+            config=bodies,
             seed=seed_for(settings["seed"], f"evaluation bodies {number}") % 2**40,
             kind=f"{number}",
         )

@@ -1,7 +1,8 @@
 """Steps of the flow ``pretrain``: labels at a fine rate, empirical maps, actuator operators, multi-head bodies.
 
 Each writes the trained file and ``errors.json`` (relative L2 errors in per cent, by output), and the training curves
-where it has them.
+where it has them. Those that the evaluation repeats write their part of ``pretrain`` in params.yaml too: repeated is
+what was done, whichever profile trained.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from tasks.store import Artifact
 
 ERRORS = "errors.json"
 CURVES = "curves.parquet"
+SETTINGS = "settings.json"
 
 MAP_KINDS = ("paper", "improved")
 BODY_KINDS = ("paper", "conditioned")
@@ -152,6 +154,7 @@ def operators(
     train = trained.training_errors(cases)
     errors = {_symbol(label): {"train": train[label], "test": test[label]} for label in test}
     _write_json(out / ERRORS, errors)
+    _write_json(out / SETTINGS, config)
     curves = [
         pd.DataFrame(getattr(trained, name).curve, columns=["epoch", "value"]).assign(quantity=f"loss_{name}")
         for name in OPERATORS
@@ -212,6 +215,7 @@ def bodies(
     columns = [column for group in BODIES.values() for column in group]
     errors = {_symbol(column): {kind: table[column] for kind, table in tables.items()} for column in columns}
     _write_json(out / ERRORS, errors)
+    _write_json(out / SETTINGS, config)
     curves = [
         pd.DataFrame(np.asarray(body.curve), columns=["epoch", "value"]).assign(quantity=f"loss_{name}")
         for name, body in trained.items()
@@ -220,12 +224,22 @@ def bodies(
 
 
 def files_to_publish(trained: Mapping[str, Artifact]) -> dict[str, Path]:
-    """Names in ``models/`` -> files: ``NAME.pt``, ``errors/NAME.json``, ``curves/NAME.parquet``."""
+    """Names in ``models/`` -> files: ``NAME.pt``, and a file of each in ``errors/``, ``curves/`` and ``settings/``."""
     files: dict[str, Path] = {}
     for name, artifact in trained.items():
         kind = name.partition("_")[0]
         files[f"{name}.pt"] = artifact.path / f"{kind}.pt"
-        files[f"errors/{name}.json"] = artifact.path / ERRORS
-        if (artifact.path / CURVES).exists():
-            files[f"curves/{name}.parquet"] = artifact.path / CURVES
+        for written in (ERRORS, CURVES, SETTINGS):
+            if (artifact.path / written).exists():
+                beside = Path(written)
+                files[f"{beside.stem}/{name}{beside.suffix}"] = artifact.path / written
     return files
+
+
+def trained_with(models: Path, name: str) -> dict[str, Any]:
+    """``pretrain`` of params.yaml with which one part of ``models/`` was trained: "operators", "bodies_paper"."""
+    import json
+
+    path = models / Path(SETTINGS).stem / f"{name}{Path(SETTINGS).suffix}"
+    settings: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    return settings
