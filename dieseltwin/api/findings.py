@@ -17,6 +17,7 @@ from typing import Any, ClassVar, Protocol
 import pandas as pd
 
 from dieseltwin.api.engines import AnyEngine, Engine
+from dieseltwin.api.folders import keep_apart
 from dieseltwin.api.reading import Channels, Opened, Source
 from dieseltwin.api.results import Result
 from dieseltwin.api.versions import versions
@@ -119,6 +120,7 @@ class Discovered(Result):
 
     def save(self, out: str | Path) -> Path:
         """discrepancy.json, details.json, report.html, figures/, runtime.json and the `own_files`, into a folder."""
+        keep_apart(out, FILE_NAME)
         began = time.perf_counter()
         with atomic_folder(out, owned=(*FILES, *self.own_files)) as folder:
             self.document.write(folder / FILE_NAME)

@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 
 from dieseltwin.api.engines import AnyEngine, diesel_engine, rig_of
+from dieseltwin.api.folders import IDENTIFICATION, keep_apart
 from dieseltwin.api.identified_words import found_words, misfits, text_table, with_tolerances
 from dieseltwin.api.reading import Channels, Source, diesel_recording
 from dieseltwin.api.results import Result, drawn
@@ -51,8 +52,7 @@ SEGMENT_RANGE_S = (10.0, 3600.0)
 MOST_RUNS = 10_000
 MOST_ROWS = 1_500_000  # 42 hours at 10 Hz; the bands of the states take a kilobyte a row
 MISFIT_CODES = ("misfit", "residuals")  # of the fit's test: they stand before the numbers
-# another method in the same folder must not leave its own behind
-OPTIONAL_RESULTS = ("curves.parquet", "report.html", "report.pdf", "figures")
+OPTIONAL_RESULTS = ("curves.parquet", "report.html", "report.pdf", "figures")  # of another method: they mustn't stay
 
 
 @dataclass(frozen=True)
@@ -143,12 +143,13 @@ class Identified(Result):
 
     def save(self, out: str | Path) -> Path:
         """identification.json, runtime.json, states.parquet, report.html, figures/; curves.parquet if any."""
+        keep_apart(out, IDENTIFICATION)
         with atomic_folder(out, owned=OPTIONAL_RESULTS) as folder:
             name = self.provenance.get("recording", "")
             states = self.found.states  # worked out once, before the figures want them in a process of their own
             told = {**self.document, "warnings": self.warnings}
             drawn_beside = begin_beside(_write_page, self.found, self.problems, told, folder, name)
-            write_json(folder / "identification.json", sealed_json(told))
+            write_json(folder / IDENTIFICATION, sealed_json(told))
             runtime = {**self.found.runtime(), **self.provenance, "notes": list(self.notes)}
             write_json(folder / "runtime.json", sealed_json(runtime))
             states.to_parquet(folder / "states.parquet", index=False, write_page_checksum=True)
@@ -175,8 +176,7 @@ class Identified(Result):
     def lines(self) -> list[str]:
         """That the twin doesn't fit, where it doesn't; the table as text, and the other notes."""
         first = self._misfits
-        table = text_table(self.document)
-        return [*first, *table, *(n for n in self.notes if n not in first), *self._left]
+        return [*first, *text_table(self.document), *(n for n in self.notes if n not in first), *self._left]
 
 
 def _load_page() -> None:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from dieseltwin.api.folders import IDENTIFICATION as IDENTIFICATION
 from dieseltwin.discovery.verdict.document import FILE_NAME, load_discrepancy
 from dieseltwin.errors import InputError
 from dieseltwin.least_squares import Z_90 as Z_90
@@ -14,7 +15,6 @@ from dieseltwin.report import quantities
 from dieseltwin.report.discovery_words import magnitude_words, site_words
 from dieseltwin.sealed import read_json
 
-IDENTIFICATION = "identification.json"
 _EMPTY = "–"
 _READING = "reading"  # code of notes (`notes.Note`)
 

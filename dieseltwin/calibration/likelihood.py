@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.special import gammaln
 
-from dieseltwin.arrays import Array
+from dieseltwin.arrays import MAD_TO_STD, Array
 from dieseltwin.calibration.coefficients import Coefficient
 from dieseltwin.calibration.steady_model import SteadyModel
 from dieseltwin.recordings.noise import SETTLED_NOISE, flat_below
@@ -281,7 +281,7 @@ def _discrepancy(model: SteadyModel, points: SteadyPoints, x: Array, values: Map
                  linear: _Linear) -> Array:  # fmt: skip
     """The error of each relation itself: the reconciled residual's spread, its own share of it undone."""
     r = model.relations(points, x, values).residual[0]
-    spread = 1.4826 * np.nanmedian(np.abs(r), axis=0)
+    spread = MAD_TO_STD * np.nanmedian(np.abs(r), axis=0)
     share = np.median(np.einsum("nii->ni", np.linalg.inv(linear.covariance)), axis=0) * S**2  # of S in the total, 0..1
     fresh = np.clip(spread / np.sqrt(np.clip(share, 0.05, 1.0)), FLOOR, 0.3)
     return np.where(linear.keep, np.sqrt(0.5 * S**2 + 0.5 * fresh**2), S)

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from dieseltwin.arrays import Array
+from dieseltwin.arrays import MAD_TO_STD, Array
 from dieseltwin.calibration.likelihood import FLOOR, balance_deviation, reading_noise
 from dieseltwin.calibration.steady_model import SteadyModel
 from dieseltwin.notes import Note, listing
@@ -34,7 +34,7 @@ def without_slips(model: SteadyModel, points: SteadyPoints,
         values: coefficients and magnitudes of terms, fitted robustly.
     """
     residual = np.abs(np.nan_to_num(model.relations(points, points.states(), values).residual[0]))
-    deviation = balance_deviation(model, points, values, np.maximum(1.4826 * np.median(residual, axis=0), FLOOR))
+    deviation = balance_deviation(model, points, values, np.maximum(MAD_TO_STD * np.median(residual, axis=0), FLOOR))
     off = residual / deviation
     rows = np.flatnonzero(np.max(off, axis=1) > FAR_OFF)
     if not 0 < rows.size <= max(1.0, FEW * points.size):

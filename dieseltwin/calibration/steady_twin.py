@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dieseltwin.arrays import MAD_TO_STD
 from dieseltwin.calibration.calibrate import Calibration
 from dieseltwin.calibration.coefficients import FLAP_COEFFICIENTS, WEAR
 from dieseltwin.calibration.lasting_errors import BESIDE_REFERENCE, SUBMODEL_OF, TOLERANCE_OVER, sensor_errors
@@ -62,7 +63,7 @@ _WITHOUT_SIGNAL = ("T_e",)
 _TYPICAL = 0.3  # prior standard deviations of a health parameter or its wear, for differences and step limits
 _COEFFICIENT_STEP = 0.02  # of a prior standard deviation, for linear responses
 _LIMIT = 30.0  # whitened balances beyond are cut: a trial state far off
-_OUTLIER, _MAD_TO_STD = 6.0, 1.4826
+_OUTLIER = 6.0
 _SCATTER_ROUNDS = 4
 _BELIEVED_AS = 10.0  # readings: what the belief of a balance's scatter weighs beside those of the reference
 _CHARGE_TOLERANCE, _CHARGE_LIMIT = 3.0, 60.0  # K, of interest and most, of the charge's reading
@@ -165,7 +166,7 @@ class SteadyTwin(TwinDefaults):
         """
         off = self.simulate(self.plain_lane())[0]
         off = np.abs(off - np.median(off, axis=0))
-        return np.asarray(off > np.maximum(_OUTLIER, _OUTLIER * _MAD_TO_STD * np.median(off, axis=0)))
+        return np.asarray(off > np.maximum(_OUTLIER, _OUTLIER * MAD_TO_STD * np.median(off, axis=0)))
 
     def _scatter_at_reference(self) -> Array:
         """(C,) scatter of the balances about the fitted engine where it is known to be well, over what is believed.

@@ -102,7 +102,9 @@ def discover_command(
 
 def _answer(question: Question, out: Path, pdf: bool) -> list[dict[str, Any]]:
     """Search, say and save; the answer's warnings."""
-    with results_in(out, pdf), question.getting_ready():
+    from dieseltwin.api.folders import DISCREPANCY
+
+    with results_in(out, DISCREPANCY, pdf), question.getting_ready():
         progress(question.about)
         say(question.preview())
         progress("fitting ...")

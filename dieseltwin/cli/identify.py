@@ -77,6 +77,7 @@ def identify_command(
     if method not in methods.names():
         raise unknown_name("--method", method, methods.names())
     from dieseltwin.api.engines import rig_of
+    from dieseltwin.api.folders import IDENTIFICATION
     from dieseltwin.api.identification import Setup, ask
     from dieseltwin.api.rigs import identify_rig
 
@@ -99,7 +100,7 @@ def identify_command(
     setup = Setup(models, maps, params, profile, names(sensors), fit_test)
     question = ask(recording, engine, channels=channels, method=method, runs=runs, segment_s=segment, seed=seed,
                    setup=setup)  # fmt: skip
-    with results_in(out, pdf), question.getting_ready():
+    with results_in(out, IDENTIFICATION, pdf), question.getting_ready():
         size = f"{counted(len(question.problems), 'segment')}, {counted(question.runs, 'run')} each"
         progress(f"{recording}: {size}, {method} ...")
         found = question.answer()

@@ -104,12 +104,14 @@ def check_ending(out: Path, allowed: Sequence[str]) -> None:
 
 
 @contextmanager
-def results_in(out: Path, pdf: bool) -> Iterator[None]:
-    """A folder that results can be written to, and a browser to print with: none is better known before the work."""
+def results_in(out: Path, document: str, pdf: bool) -> Iterator[None]:
+    """A folder that results of this document can be written to, and a browser to print with: known before the work."""
+    from dieseltwin.api.folders import keep_apart
     from dieseltwin.report.pdf import browser, print_report
 
     if pdf:
         browser()
+    keep_apart(out, document)
     check_folder(out)
     yield
     if pdf:

@@ -147,9 +147,16 @@ def validated(values: Mapping[str, Any], source: str) -> EngineParameters:
         raise InputError(
             f"{source}: engine parameter {name}",
             got=repr(first.get("input")),
-            allowed=first["msg"].removeprefix("Value error, "),
+            allowed=_allowed(first),
             do="correct the value",
         ) from None
+
+
+def _allowed(problem: Mapping[str, Any]) -> str:
+    """What pydantic asks of a value, and of which quantity in which unit: a displacement in litres is out of range."""
+    field = EngineParameters.model_fields.get(str(problem["loc"][0])) if problem["loc"] else None
+    asked = str(problem["msg"]).removeprefix("Value error, ").replace("Input should be ", "")
+    return f"{asked}; it is the {field.description}" if field is not None and field.description else asked
 
 
 _VECTORS: dict[str, tuple[str, ...]] = {

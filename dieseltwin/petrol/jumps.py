@@ -6,11 +6,10 @@ import warnings
 
 import numpy as np
 
-from dieseltwin.discovery.twins.interface import Array
+from dieseltwin.arrays import MAD_TO_STD, Array
 
 NEIGHBOURS = 7  # blocks
 OUTLIER = 4.0  # scales off its neighbours before and after: a tip-in, whatever the hypothesis
-MAD_TO_STD = 1.4826  # of a Gaussian
 
 
 def with_jumps(scales: Array, left: Array) -> Array:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from dieseltwin.arrays import Array
+from dieseltwin.arrays import MAD_TO_STD, Array
 from dieseltwin.recordings.held import number_step, rows_between_readings
 
 SETTLED_NOISE: Mapping[str, float] = {
@@ -34,7 +34,6 @@ _ROWS_FOR_RHO = 512  # fewer rows can't tell little correlation from none
 _RHO_ERROR_OF_FEW = 0.13  # standard deviation of the estimate from 350 rows, 40 draws at three rho
 _LONGEST_BRIDGE = 4  # samples
 STEP_TO_STD = 12.0**-0.5  # of the error of rounding to a step, which is uniform
-MAD_TO_STD = 1.482602218505602  # of a Gaussian
 
 _FEWEST_CUT, _SHARE_CUT = 10, 0.005  # readings at the very lowest number, and of all readings
 _OVER_NEXT = 2.0  # times the readings at the next number: noise that isn't cut off thins out towards its end

@@ -177,6 +177,7 @@ def _rendered(
 ) -> str:
     loader = PackageLoader("dieseltwin.report")
     templates = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True)
+    templates.filters["marked"] = lambda text: Markup(quantities.with_symbols(text))
     return templates.get_template("page.html.j2").render(
         page=page, sections=sections,
         stills={name: shown_figure(figure, encoded[figure.name]) for name, figure in stills.items()},

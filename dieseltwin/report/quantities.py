@@ -136,11 +136,16 @@ def probability(value: float | None) -> str:
     return "< 0.1 %" if value < 0.001 else f"{100 * value:.1f} %"
 
 
+_CODE = re.compile(r"`([^`]*)`")
 _NAMES = re.compile(r"\b(" + "|".join(sorted(map(re.escape, SYMBOLS), key=len, reverse=True)) + r")\b")
 
 
 def with_symbols(text: str) -> str:
-    """HTML of a plain sentence in which the nomenclature's names (``h_tot``) are set as symbols."""
-    return _NAMES.sub(
-        lambda found: html_symbol(found.group(1)) if "_" in found.group(1) else found.group(1), escape(text)
-    )
+    """HTML of a plain sentence: the nomenclature's names (``h_tot``) as symbols, what backticks enclose as code."""
+    plain = _CODE.split(text)  # every second piece stood between backticks
+    pieces = (f"<code>{escape(p)}</code>" if i % 2 else _symbols_in(escape(p)) for i, p in enumerate(plain))
+    return "".join(pieces)
+
+
+def _symbols_in(html: str) -> str:
+    return _NAMES.sub(lambda found: html_symbol(found.group(1)) if "_" in found.group(1) else found.group(1), html)

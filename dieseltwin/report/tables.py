@@ -5,9 +5,7 @@ Tables hold raw SI numbers; formatting happens last, so that a test can compare 
 
 from __future__ import annotations
 
-import html
 import math
-import re
 from collections.abc import Mapping, Sequence
 
 import pandas as pd
@@ -208,8 +206,8 @@ def _values(results: Results, estimates: Mapping[str, Estimate]) -> list[str]:
 
 
 def _as_sentence(text: str) -> str:
-    """A warning's text as the beginning of a sentence (HTML), commands in it as code."""
-    return re.sub(r"`([^`]*)`", r"<code>\1</code>", html.escape(text[:1].upper() + text[1:], quote=False))
+    """A warning's text as the beginning of a sentence (HTML)."""
+    return quantities.with_symbols(text[:1].upper() + text[1:])
 
 
 def headline(results: Results) -> str:

@@ -306,6 +306,7 @@ def test_unknown_profile(tmp_path: Path, drive: Path, refuse: Callable[..., Refu
         ("A_egrmaxx: 4.0e-4", ("A_egrmaxx", "did you mean", "A_egrmax")),
         ("A_egrmax: -1.0", ("A_egrmax", "-1.0")),
         ("A_egrmax: large", ("A_egrmax", "large")),
+        ("V_d: 12.7", ("V_d", "12.7", "less than 10", "displacement [m3]")),
         ("- a\n- list", ("mapping",)),
         ("a: [1", ("YAML",)),
     ],
@@ -348,6 +349,21 @@ def test_options(tmp_path: Path, drive: Path, refuse: Callable[..., Refusal]) ->
     assert "--runs" in refuse("identify", drive, "--out", out, "--runs", "many").line
     assert "--help" in refuse("identify", drive, "--oot", out).line
     assert "identify" in refuse("identifi", drive).line
+
+
+@pytest.mark.parametrize(
+    ("command", "document", "of"),
+    [("identify", "discrepancy.json", "discover"), ("discover", "identification.json", "identify")],
+)
+def test_a_folder_with_another_commands_results(
+    tmp_path: Path, drive: Path, refuse: Callable[..., Refusal], command: str, document: str, of: str
+) -> None:
+    """Both write `report.html`: the other's page would be lost without a word."""
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / document).write_text("{}")
+    said = refuse(command, drive, "--out", out)
+    assert has_four_parts(said.line) and f"the results of {of}," in said.line
 
 
 @pytest.mark.parametrize("words", [("--out", ""), ("--out="), ("--out", " "), ("--channels", "", "--out", "there")])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from html import unescape
 from pathlib import Path
 
 import numpy as np
@@ -102,12 +103,17 @@ def test_a_twin_that_does_not_fit_is_said_before_the_numbers() -> None:
     document["warnings"] = [{"code": "reading", "text": "read with decimal comma", "affects": []},
                             {"code": "misfit", "text": "the twin doesn't fit: see `discover`", "affects": []}]
     results = Results(methods=(method_from_document(document),), nominal=synthetic.NOMINAL)
-    assert headline(results).startswith("The twin doesn't fit: see <code>discover</code>. From ")
+    assert unescape(headline(results)).startswith("The twin doesn't fit: see <code>discover</code>. From ")
     page = identification_page(results, identification_sections(results))
     doubts = next(section for section in page.sections if section.id == "doubts")
     assert page.alarm and [row[0] for row in doubts.tables[0].rows] == ["reading", "misfit"]
     fits = Results(methods=(method_from_document(synthetic.document("classical")),), nominal=synthetic.NOMINAL)
     assert headline(fits).startswith("From ") and not identification_page(fits, []).alarm
+
+
+def test_commands_stand_as_code_and_names_as_symbols_beside_them() -> None:
+    said = quantities.with_symbols("h_tot < 1: `discover --engine h_tot.yaml`, then `x`")
+    assert said == "<i>h</i><sub>tot</sub> &lt; 1: <code>discover --engine h_tot.yaml</code>, then <code>x</code>"
 
 
 def test_disagreeing_method_is_named() -> None:

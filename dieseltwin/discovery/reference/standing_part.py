@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from dieseltwin.arrays import MAD_TO_STD
 from dieseltwin.discovery.likelihood.metric import ModelScatter, Whitening
 from dieseltwin.discovery.reference.part import Part
 from dieseltwin.discovery.twins.diesel_circumstances import LoggedTwin
@@ -11,7 +12,7 @@ from dieseltwin.discovery.twins.diesel_standing import StandingTwin
 from dieseltwin.discovery.twins.interface import Array, Lanes
 from dieseltwin.engine import EngineParameters
 from dieseltwin.learning.belief import Belief
-from dieseltwin.recordings.noise import MAD_TO_STD, SETTLED_NOISE, Noise, flat_below
+from dieseltwin.recordings.noise import SETTLED_NOISE, Noise, flat_below
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.settings.search import CircumstanceSettings
 

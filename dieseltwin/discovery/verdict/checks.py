@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from dieseltwin.discovery.twins.interface import Array
+from dieseltwin.arrays import MAD_TO_STD, Array
 from dieseltwin.engine import HEALTH, MEASURED, EngineParameters, constants
 from dieseltwin.engine.simulate import numpy_model
 from dieseltwin.engine.terms import corrections_in
@@ -259,7 +259,7 @@ def _breathing(flow: Array, into: Array, out: Array) -> float:
             found = np.array([float(np.median((flow * weight)[kept])), 0.0])
         factor = float(found[0])
         rest = (flow - found[0] * into - found[1] * out) * weight
-        kept = np.abs(rest - np.median(rest)) < 3.0 * np.median(np.abs(rest - np.median(rest))) * 1.4826 + 1e-12
+        kept = np.abs(rest - np.median(rest)) < 3.0 * MAD_TO_STD * np.median(np.abs(rest - np.median(rest))) + 1e-12
     return factor
 
 

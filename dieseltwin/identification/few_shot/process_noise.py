@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from dieseltwin.arrays import MAD_TO_STD
 from dieseltwin.engine import HEALTH, Actuation, EngineParameters, parameter_batch, simulate_states
 from dieseltwin.engine.simulate import settle_first
 from dieseltwin.identification.few_shot.defects import Defects, Windows, defects_of, simulate_windows
@@ -21,8 +22,6 @@ from dieseltwin.identification.few_shot.residuals import DrivenInputs, PointMode
 from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.settings import NewtonConfig
 
-MAD_TO_SIGMA = 1.4826
-"""Median absolute deviation to standard deviation of a Gaussian: transients must not set the level of all points."""
 NEIGHBOURS = 1
 """Samples on each side whose defect counts for a point: the basis smears a kink over its neighbours."""
 
@@ -100,8 +99,9 @@ def calibrate(setting: Setting, model: PointModel, settings: NewtonConfig) -> Pr
     lanes = model.lanes
     point = model(path.states.expand(lanes, -1, -1), health.expand(lanes, -1), inputs, derivatives=False)
     remaining = path.rates - point.rates - found.rate
-    level = MAD_TO_SIGMA * remaining.abs().flatten(0, 1).median(0).values
-    resolved = MAD_TO_SIGMA * found.rate.abs().flatten(0, 1).median(0).values
+    # by medians: transients must not set the level of all points
+    level = MAD_TO_STD * remaining.abs().flatten(0, 1).median(0).values
+    resolved = MAD_TO_STD * found.rate.abs().flatten(0, 1).median(0).values
     sigma = torch.from_numpy(setting.problem.sigma[:3])
     noticed = settings.noticed_share * _restoring(setting.exact, inputs, states, health) * sigma / len(states[0]) ** 0.5
     floor = (level**2 + (settings.floor_share * resolved) ** 2 + noticed**2).sqrt()
