@@ -29,7 +29,7 @@ from dieseltwin.identification.result import Identification, curves_table
 from dieseltwin.learning.files import LearnedEngine, learned_engine_of, untold
 from dieseltwin.notes import Note, doubts_among, of_reading, warnings_of
 from dieseltwin.recordings.channel_checks import channel_notes
-from dieseltwin.recordings.channels import SENSORS
+from dieseltwin.recordings.channels import SENSORS, refuse_missing
 from dieseltwin.recordings.circumstances import with_charge
 from dieseltwin.recordings.guess.machines import DIESEL
 from dieseltwin.recordings.reader import CRANKING_RPM, Recording, rows_out_of_range
@@ -314,8 +314,10 @@ def ask(
     if segment_s is not None and not SEGMENT_RANGE_S[0] <= segment_s <= SEGMENT_RANGE_S[1]:
         raise InputError("--segment", f"{segment_s:g} s", "{:g} to {:g} s".format(*SEGMENT_RANGE_S), "choose another")
     parameters, known = diesel_engine(engine), learned_engine_of(engine)
-    used = SENSORS if setup.sensors is None else _checked(setup.sensors, chosen)
-    source = diesel_recording(recording, channels, parameters, sensors=used)
+    needed = MEASURED[:3] if chosen.needs.maps == EXACT else SENSORS
+    used = SENSORS if setup.sensors is None else _checked(setup.sensors, needed, method)
+    source = diesel_recording(recording, channels, parameters, sensors=needed)
+    refuse_missing(str(source.path or "recording"), source.columns, used, len(needed))
     if source.time_s.size > MOST_ROWS:
         raise InputError(str(source.path or "recording"), f"{source.time_s.size} rows", f"at most {MOST_ROWS}",
                          "cut it, or average it down to 10 Hz")
@@ -352,8 +354,8 @@ def problems_of(
     return problems_from_recording(source, parameters, noise=noise, duration_s=duration_s, channels=sensors)
 
 
-def _checked(sensors: Sequence[str], method: Method) -> tuple[str, ...]:
-    """The sensors that were named.
+def _checked(sensors: Sequence[str], needed: Sequence[str], method: str) -> tuple[str, ...]:
+    """The sensors that were named; `needed`: those that the method can't do without.
 
     Raises:
         InputError: an unknown name, one of the states missing, or a method of the paper, which needs all five.
@@ -361,11 +363,10 @@ def _checked(sensors: Sequence[str], method: Method) -> tuple[str, ...]:
     for name in sensors:
         if name not in MEASURED:
             raise unknown_name("--sensors", name, list(MEASURED))
-    needed = MEASURED[:3] if method.needs.maps == EXACT else SENSORS
     absent = [name for name in needed if name not in sensors]
     if absent:
         raise InputError(f"--sensors {','.join(sensors)}", f"no {absent[0]}",
-                         f"{listed(needed)} at least for {method.name}", "add it")
+                         f"{listed(needed)} at least for {method}", "add it")
     return tuple(sensors)
 
 
@@ -392,8 +393,7 @@ def _usable(problems: list[SegmentProblem], source: Recording) -> tuple[list[Seg
 def _notes(source: Recording, parameters: EngineParameters, known: LearnedEngine | None) -> list[Note]:
     ranges = {"n_e_rpm": parameters.n_e_range, "u_delta_mg": parameters.u_delta_range,
               "u_egr_pct": parameters.u_egr_range, "u_vgt_pct": parameters.u_vgt_range}  # fmt: skip
-    counts = rows_out_of_range(source.columns, ranges)
-    read = [*untold(parameters, known), *map(of_reading, source.notes)]
-    return read + [Note(f"{count} of {len(source.time_s)} rows of {name} are outside the engine's range "
-                        f"{ranges[name][0]:g} to {ranges[name][1]:g}", "out_of_range", (name,))
-                   for name, count in counts.items()]
+    out = [Note(f"{count} of {len(source.time_s)} rows of {name} are outside the engine's range "
+                f"{ranges[name][0]:g} to {ranges[name][1]:g}", "out_of_range", (name,))
+           for name, count in rows_out_of_range(source.columns, ranges).items()]  # fmt: skip
+    return [*untold(parameters, known), *map(of_reading, source.notes), *out]

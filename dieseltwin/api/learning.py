@@ -318,8 +318,8 @@ def _check_misfits(known: LearnedEngine, most: float) -> None:
         worst = max(strange, key=lambda one: (one.path is not None, known.misfits[one.sha256]))
         raise InputError(
             str(worst.path or "recording"),
-            f"{known.misfits[worst.sha256]:.2f} times the noise is left with all maps corrected",
-            f"up to {most:g} for a healthy engine of this kind",
+            f"{known.misfits[worst.sha256]**0.5:.2f} times the noise is left with all maps corrected",
+            f"up to {most**0.5:.2f} for a healthy engine of this kind",
             "check that it is this engine, that it was well, and that its columns and units are right",
         )  # fmt: skip
 

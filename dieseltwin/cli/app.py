@@ -44,7 +44,7 @@ _OF_A_PATH = {
 
 app = typer.Typer(
     name="dieseltwin",
-    help="Digital twin of a diesel engine's gas path: simulate it, identify its health parameters from a recording.",
+    help="Digital twin of a diesel engine's gas path: simulate it, identify its health, find what it leaves out.",
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
@@ -78,7 +78,7 @@ def _options(
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and end.")
     ] = False,
 ) -> None:
-    """Digital twin of a diesel engine's gas path: simulate it, identify its health parameters from a recording."""
+    """Digital twin of a diesel engine's gas path: simulate it, identify its health, find what it leaves out."""
     help_without_command(context)
 
 

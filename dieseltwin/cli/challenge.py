@@ -29,7 +29,8 @@ def make(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="New folder for the benchmark.")],
     tier: Annotated[
         str,
-        typer.Option("--tier", metavar="T", help="main, one-percent, own-engine(-5, -rough, -ratio), petrol, points."),
+        typer.Option("--tier", metavar="T", help="main, one-percent, own-engine, own-engine-5, own-engine-rough, "
+                     "own-engine-ratio, petrol or points."),
     ] = "main",
     sensors: Annotated[int, typer.Option("--sensors", metavar="K", help="5 (the paper's) or 6 (with w_c).")] = 6,
     healthy_only: Annotated[bool, typer.Option("--healthy-only", help="Healthy machines only.")] = False,

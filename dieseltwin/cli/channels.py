@@ -26,7 +26,7 @@ def channels_command(
     ] = None,
     engine: Annotated[
         Path | None,
-        typer.Option("--engine", metavar="FILE", help="Of which engine: liu_petrol or a file; else a diesel."),
+        typer.Option("--engine", metavar="FILE", help="Whose columns: liu_petrol or a file; without it a diesel's."),
     ] = None,
 ) -> None:
     """Say what is in a file, guess which channel is which quantity, and write a channel map to edit."""

@@ -35,8 +35,8 @@ def discover_command(
         typer.Argument(
             metavar="RECORDING...",
             callback=readable,
-            help="Recording of a running engine (CSV, MDF, ...): 60 s at least, error rates hold for 10 min; several "
-            "are judged together.",
+            help="Recording of a running engine (CSV, MDF, ...), 60 s at least, error rates hold for 10 min; or "
+            "settled points, a table without time. Several recordings of a diesel engine are judged together.",
         ),
     ] = None,
     engine: EngineFile = None,
@@ -47,16 +47,21 @@ def discover_command(
     ] = None,
     map_tolerance: Annotated[
         float | None,
-        typer.Option("--map-tolerance", metavar="X", help="Smooth error believed of the maps; default: the settings'."),
+        typer.Option(
+            "--map-tolerance", metavar="X", help="Smooth error believed of the maps, rms, 0 to 0.05; 0.003 in "
+            "params.yaml.",
+        ),
     ] = None,
     name: Annotated[
         str | None,
         typer.Option(
-            "--explain", metavar="NAME", help="Say why an effect was or wasn't chosen; reads DIR where it can."
+            "--explain",
+            metavar="NAME",
+            help="Say why an effect was or wasn't chosen. Without RECORDING it is answered from the results in DIR.",
         ),
     ] = None,
     seed: Annotated[
-        int | None, typer.Option("--seed", metavar="N", help="Seed of everything random instead of the settings'.")
+        int | None, typer.Option("--seed", metavar="N", help="Seed of everything random; 0 in params.yaml.")
     ] = None,
     reference: Annotated[
         list[Path] | None,
@@ -64,12 +69,12 @@ def discover_command(
             "--reference",
             metavar="HEALTHY",
             callback=readable,
-            help="Recording of the engine when it was well; repeatable.",
+            help="Recording, or settled points, of the engine when it was well; repeatable.",
         ),
     ] = None,
     time_s: Annotated[
         float | None,
-        typer.Option("--time", metavar="S", help="Seconds for the best answer so far; default: no limit."),
+        typer.Option("--time", metavar="S", help="Seconds for the best answer so far; no limit without it."),
     ] = None,
     params: ParamsFile = None,
     profile: Profile = "quick",

@@ -14,6 +14,7 @@ from dieseltwin.cli.options import (
     ParamsFile,
     Pdf,
     Profile,
+    Sensors,
     Strict,
     names,
     progress,
@@ -41,13 +42,12 @@ def identify_command(
         str,
         typer.Option("--method", metavar="M", help=f"One of {', '.join(methods.names())}."),
     ] = METHOD,
-    runs: Annotated[int | None, typer.Option("--runs", metavar="N", help="Independent starts a segment.")] = None,
+    runs: Annotated[
+        int | None, typer.Option("--runs", metavar="N", help="Independent starts a segment; else those of params.yaml.")
+    ] = None,
     engine: EngineFile = None,
     channels: ChannelsFile = None,
-    sensors: Annotated[
-        str | None,
-        typer.Option("--sensors", metavar="A,B,...", help="Sensor columns to use; without it all, five at least."),
-    ] = None,
+    sensors: Sensors = None,
     models: Annotated[
         Path | None,
         typer.Option("--models", metavar="DIR", help="Pretrained networks of `make run`; ./models if none is named."),
@@ -64,7 +64,10 @@ def identify_command(
     segment: Annotated[
         float | None, typer.Option("--segment", metavar="S", help="Length of a segment [s]; 60 in params.yaml.")
     ] = None,
-    seed: Annotated[int | None, typer.Option("--seed", metavar="N", min=0, help="Seed of everything random.")] = None,
+    seed: Annotated[
+        int | None,
+        typer.Option("--seed", metavar="N", min=0, help="Seed of everything random; else that of params.yaml."),
+    ] = None,
     params: ParamsFile = None,
     profile: Profile = "quick",
     pdf: Pdf = False,

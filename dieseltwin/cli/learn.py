@@ -41,7 +41,12 @@ def learn_command(
     sensors: Sensors = None,
     map_error: Annotated[
         float | None,
-        typer.Option("--map-error", metavar="X", help="Believed rms of the maps' errors; default: 0.02, of a family."),
+        typer.Option(
+            "--map-error",
+            metavar="X",
+            help="Believed rms of the maps' errors, 0.001 to 0.1; 0.02 in params.yaml, for an engine of the base's "
+            "family.",
+        ),
     ] = None,
     siblings: Annotated[
         list[Path] | None,

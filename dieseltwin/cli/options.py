@@ -16,13 +16,24 @@ from dieseltwin.notes import STRICT_CODE
 from dieseltwin.paths import refuse_unreadable, same_file
 
 EngineFile = Annotated[
-    Path | None, typer.Option("--engine", metavar="FILE", help="YAML that overrides engine parameters by name.")
+    Path | None,
+    typer.Option(
+        "--engine",
+        metavar="FILE",
+        help="Engine file: parameters that differ from the published ones, or what a command wrote; or a name. Without "
+        "it we2011, the published diesel engine.",
+    ),
 ]
 ChannelsFile = Annotated[
     Path | None, typer.Option("--channels", metavar="MAP", help="YAML mapping foreign column names and units to ours.")
 ]
 Sensors = Annotated[
-    str | None, typer.Option("--sensors", metavar="A,B,...", help="Sensor columns to use; all without it.")
+    str | None,
+    typer.Option(
+        "--sensors",
+        metavar="A,B,...",
+        help="Sensor columns to use; without it all that there are, and the paper's five must be among them.",
+    ),
 ]
 ParamsFile = Annotated[Path | None, typer.Option("--params", metavar="FILE", help="Settings instead of params.yaml.")]
 Profile = Annotated[str, typer.Option("--profile", metavar="NAME", help="Profile: quick, paper or tiny.")]
@@ -30,8 +41,6 @@ Profile = Annotated[str, typer.Option("--profile", metavar="NAME", help="Profile
 Pdf = Annotated[bool, typer.Option("--pdf", help="Print the report to report.pdf as well (with Chromium or Chrome).")]
 
 Strict = Annotated[bool, typer.Option("--strict", help="Exit code 3 when the answer carries a warning.")]
-
-
 
 Named = TypeVar("Named", Path, list[Path], None)
 

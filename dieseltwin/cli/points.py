@@ -21,14 +21,28 @@ Channels = Annotated[Path | None, typer.Option("--channels", metavar="MAP", help
 def calibrate_command(
     points: Points,
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="Engine file to write (.yaml).")],
-    base: Annotated[str, typer.Option("--base", metavar="NAME", help="we2011 or an engine file.")] = "we2011",
+    base: Annotated[
+        str,
+        typer.Option(
+            "--base",
+            metavar="NAME",
+            help="we2011, liu_petrol (POINTS is driving without a fault then) or an engine file.",
+        ),
+    ] = "we2011",
     geometry: Annotated[
         Path | None,
-        typer.Option("--geometry", metavar="FILE", help="YAML: bore_mm, stroke_mm or displacement_l, n_cyl, r_c, ..."),
+        typer.Option(
+            "--geometry",
+            metavar="FILE",
+            help="YAML of the data sheet: bore_mm and stroke_mm, or displacement_l; n_cyl, r_c, any engine parameter.",
+        ),
     ] = None,
     channels: Channels = None,
     noise: Annotated[
-        float | None, typer.Option("--noise", metavar="PCT", help="Standard deviation of every sensor [%].")
+        float | None,
+        typer.Option(
+            "--noise", metavar="PCT", help="Standard deviation of every sensor [%]; else each has its usual one."
+        ),
     ] = None,
     seed: Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Seed of the held-out third.")] = 0,
     strict: Strict = False,

@@ -38,7 +38,7 @@ Out = Annotated[
 ]
 Rate = Annotated[
     float | None,
-    typer.Option("--alarms-per-year", metavar="X", help="False alarms an engine and year; else the settings'."),
+    typer.Option("--alarms-per-year", metavar="X", help="False alarms an engine and year; 0.02 in params.yaml."),
 ]
 
 

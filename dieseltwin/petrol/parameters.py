@@ -174,7 +174,7 @@ class PetrolParameters(StrictModel):
         """
         if self.cylinder is None or self.throttle is None:
             raise InputError(f"engine {self.name}: cylinder, throttle", "no maps", "a calibrated engine",
-                             "run `dieseltwin calibrate RECORDING --base liu_petrol --out FILE`")
+                             "run `dieseltwin learn HEALTHY --engine ENGINE --out FILE` with this one as ENGINE")
         return self.cylinder, self.throttle
 
 
@@ -192,7 +192,7 @@ def load_petrol(path: str | Path) -> PetrolParameters:
     found = validate(PetrolParameters, read_mapping(path), str(path))
     if not found.calibrated:
         raise InputError(f"{path}: cylinder, throttle", "no maps", "a calibrated engine",
-                         "run `dieseltwin calibrate RECORDING --base liu_petrol --out FILE` on a fault-free recording")
+                         f"run `dieseltwin learn HEALTHY --engine {path} --out FILE` and name FILE")
     return found
 
 

@@ -329,6 +329,9 @@ def read_channel_map(path: str | Path) -> ChannelMap:
     return channel_map(read_mapping(path), str(path))
 
 
+_NAME_IT = "name it in a channel map (--channels)"
+
+
 def foreign_hint(missing: str, columns: Iterable[str]) -> str:
     """What to do about a missing column, naming the likeliest foreign one."""
     available = [c for c in columns if c != missing]
@@ -338,5 +341,25 @@ def foreign_hint(missing: str, columns: Iterable[str]) -> str:
     if hint.startswith("did you mean"):
         return f"{hint} rename it or give a channel map (--channels)"
     if missing == TIME:
-        return "add the times (--channels); settled points are for `calibrate`, `discover` and `imply`"
-    return "add this column or name it in a channel map (--channels); `dieseltwin channels FILE` writes a first one"
+        return "add the times (--channels); settled points are for `calibrate`, `learn`, `discover` and `imply`"
+    return f"add this column or {_NAME_IT}; `dieseltwin channels FILE` writes a first one"
+
+
+def refuse_missing(where: str, columns: Iterable[str], wanted: Iterable[str], fewest: int) -> None:
+    """Refuse a recording that lacks a wanted sensor, and say how to go on with the others where they are enough.
+
+    Args:
+        where: name for the message; columns: of the recording; wanted: sensor columns.
+        fewest: sensors that are enough.
+
+    Raises:
+        InputError: one is missing.
+    """
+    columns = list(columns)
+    missing = next((name for name in wanted if name not in columns), None)
+    if missing is not None:
+        there = [name for name in MEASURED if name in columns]
+        hint = foreign_hint(missing, columns)
+        if len(there) >= fewest:  # the list is to be copied: a line that is too long would be cut in its middle
+            hint = f"{_NAME_IT if _NAME_IT in hint else hint}, or go without: --sensors {','.join(there)}"
+        raise InputError(f"{where}: column {missing}", f"none ({listed(columns)})", "this column", hint)

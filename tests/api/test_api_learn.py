@@ -65,6 +65,9 @@ def test_the_recording_that_fits_worst_is_refused(tmp_path: Path) -> None:
         try:
             _check_misfits(replace(known, recordings=recordings, misfits=misfits), 1.6)
         except InputError as error:
+            # misfits are squares; "times the noise" is their root, as in what `identify` and `discover` say
+            left = misfits["earlier"] if error.what == "recording" else misfits[error.what.removesuffix(".csv")]
+            assert f"got {left**0.5:.2f} times the noise" in str(error) and "up to 1.26" in str(error)
             return error.what
         return None
 

@@ -318,11 +318,16 @@ def test_a_segment_without_a_sensor_is_left_out(run: Run, noisy: Path, tmp_path:
 
 
 @pytest.mark.usefixtures("no_figures")
-def test_identify_with_the_sensors_that_are_named(run: Run, noisy: Path, field_engine: Path, tmp_path: Path) -> None:
+def test_identify_with_the_sensors_that_are_named(
+    run: Run, noisy: Path, field_engine: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     """Without exhaust temperature the estimates stay right, and the lines say what it costs."""
     without = tmp_path / "without.csv"
     pd.read_parquet(noisy).drop(columns="t_em_k").to_csv(without, index=False)
     assert main(["identify", str(without), "--out", str(tmp_path / "refused")]) == 2
+    assert "--sensors p_im_pa,p_em_pa,omega_t_rad_s,w_egr_kg_s" in capfd.readouterr().err
+    assert main(["identify", str(without), "--out", str(tmp_path / "refused"), "--method", "few-shot-adam"]) == 2
+    assert "--sensors" not in capfd.readouterr().err
     lines = run("identify", without, "--out", tmp_path / "out", "--runs", "1", "--sensors",
                 "p_im_pa,p_em_pa,omega_t_rad_s,w_egr_kg_s")  # fmt: skip
     assert any(line.startswith("note: without t_em_k: injector drift") for line in lines)

@@ -207,7 +207,7 @@ def test_pauses_and_a_piece_that_cannot_be_judged(record: Recorder) -> None:
 
 
 def test_engine_without_maps(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="dieseltwin calibrate"):
+    with pytest.raises(InputError, match=r"dieseltwin learn HEALTHY --engine .*empty\.yaml"):
         load_petrol(save_petrol(PetrolParameters(), tmp_path / "empty.yaml"))
 
 

@@ -18,7 +18,7 @@ from dieseltwin.engine.terms import corrections_in
 from dieseltwin.errors import InputError
 from dieseltwin.notes import Note
 from dieseltwin.recordings.channel_checks import channel_notes
-from dieseltwin.recordings.channels import INPUTS, foreign_hint
+from dieseltwin.recordings.channels import INPUTS, refuse_missing
 from dieseltwin.recordings.guess.physics import reversed_where_read
 from dieseltwin.recordings.held import rows_between_readings
 from dieseltwin.recordings.reader import Recording
@@ -94,14 +94,7 @@ def check_sensors(recording: Recording, sensors: Sequence[str] | None) -> tuple[
             if name not in MEASURED:
                 raise unknown_name("--sensors", name, MEASURED)
     wanted = NEEDED if sensors is None else tuple(sensors)
-    missing = [name for name in wanted if name not in recording.columns]
-    if missing:
-        there = [name for name in MEASURED if name in recording.columns]
-        raise InputError(
-            f"{where}: column {missing[0]}", f"none ({listed(list(recording.columns))})", "this column",
-            foreign_hint(missing[0], recording.columns)
-            + (f", or go without: --sensors {','.join(there)}" if len(there) >= LEAST_SENSORS else ""),
-        )  # fmt: skip
+    refuse_missing(where, recording.columns, wanted, LEAST_SENSORS)
     used = tuple(n for n in MEASURED if (n in wanted if sensors is not None else n in recording.columns))
     if len(used) < LEAST_SENSORS:
         raise InputError(

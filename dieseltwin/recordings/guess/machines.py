@@ -39,9 +39,12 @@ DIESEL = Machine(
                      "zeros",
         "u_vgt_pct": "without the VGT's position nothing can be simulated; for a fixed turbine, add a constant column",
         **{sensor.column: sensor.without for sensor in SENSORS},
-        "t_im_k": "the engine file's constant stands in; charge cooler loss and EGR heating show through flows only",
-        "p_amb_pa": "the engine file's value stands in: at 1000 m that is 11 kPa wrong in every pressure ratio",
-        "t_amb_k": "the engine file's value stands in: 10 K change compressor flow and speed by 1.7 %",
+        "t_im_k": "`discover` leaves it open, else the engine file's constant stands in; charge cooler loss and EGR "
+                  "heating show through flows only",
+        "p_amb_pa": "`discover` finds it, else the engine file's value stands in: at 1000 m that is 11 kPa wrong in "
+                    "every pressure ratio",
+        "t_amb_k": "`discover` finds it, else the engine file's value stands in: 10 K change compressor flow and speed "
+                   "by 1.7 %",
     },
     ("identify", "calibrate"),
 )  # fmt: skip
