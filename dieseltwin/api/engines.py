@@ -76,8 +76,8 @@ def _parameters(source: object) -> Engine | None:
 
 
 def _read(path: str | Path) -> Engine:
-    if isinstance(path, str) and not Path(path).suffix and not os.path.exists(path):
-        raise unknown_name("engine", path, list(NAMED))
+    if len(Path(path).parts) == 1 and not Path(path).suffix and not os.path.exists(path):
+        raise unknown_name("engine", str(path), [*NAMED, "a file (.yaml)"])
     kind = read_mapping(path).get("kind")
     return load_petrol(path) if kind == PETROL else load_rig(path) if kind == RIG else load_engine(path)
 

@@ -19,7 +19,7 @@ params_app.callback(invoke_without_command=True)(help_without_command)
 
 @engine_app.command("show")
 def engine_show(engine: EngineFile = None) -> None:
-    """Print the engine's parameters as YAML that --engine accepts."""
+    """Print the parameters of an engine, diesel or petrol, or of a rig as YAML that --engine accepts."""
     say(engine_lines(engine))
 
 
@@ -44,11 +44,16 @@ def _flow_yaml(value: Any) -> str:
 
 
 def engine_lines(engine: EngineFile) -> Iterator[str]:
-    """The parameters of an engine file (the published set without one) as YAML, the units as comments."""
-    from dieseltwin.api.engines import diesel_engine
+    """An engine (the published one without a file) as YAML; of a diesel engine with the units as comments."""
+    from dieseltwin.api.engines import PUBLISHED, petrol_base
+    from dieseltwin.api.engines import engine as engine_of
     from dieseltwin.engine import EngineParameters
 
-    parameters = diesel_engine(engine)
+    source = engine or PUBLISHED
+    parameters = petrol_base(source) or engine_of(source)  # one without maps can be shown, too
+    if not isinstance(parameters, EngineParameters):
+        yield from _plain_yaml(parameters.model_dump(mode="json", exclude_none=True))
+        return
     for name, value in parameters.model_dump(mode="json").items():
         description = EngineParameters.model_fields[name].description or ""
         if name == "terms":

@@ -102,6 +102,8 @@ def test_engines_by_name_file_and_parameters(tmp_path: Path) -> None:
     assert isinstance(dt.engine("liu_petrol"), PetrolParameters)
     with pytest.raises(InputError, match="we2011"):
         dt.engine("we2012")
+    with pytest.raises(InputError, match="did you mean liu_petrol"):  # the command line gives a path
+        dt.engine(Path("liu_petrl"))
     with pytest.raises(InputError, match="V_d"):
         dt.engine(V_dd=1.0)
     with pytest.raises(InputError, match="no such file"):

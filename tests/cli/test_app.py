@@ -93,6 +93,16 @@ def test_unexpected_errors_keep_their_traceback(monkeypatch: pytest.MonkeyPatch,
         main(["params", "show"])
 
 
+@pytest.mark.parametrize("engine", ["liu_petrol", "positioning_axis.yaml"])
+def test_engine_show_of_other_machines_is_what_engine_takes(
+    run: Run, project_root: Path, tmp_path: Path, engine: str
+) -> None:
+    file, example = tmp_path / "shown.yaml", project_root / "examples" / "rigs" / engine
+    shown = run("engine", "show", "--engine", str(example) if example.exists() else engine)
+    file.write_text("\n".join(shown))
+    assert run("engine", "show", "--engine", str(file)) == shown and "name" in yaml.safe_load(file.read_text())
+
+
 @pytest.mark.parametrize("command", [["identify", "drive.csv", "--out", "x"], ["calibrate", "p.csv", "--out", "e.yml"]])
 def test_a_negative_seed_is_refused(command: list[str], capfd: pytest.CaptureFixture[str]) -> None:
     assert main([*command, "--seed", "-1"]) == 2
