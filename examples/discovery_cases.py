@@ -77,7 +77,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0] if __doc__ else "")
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--cases", default=",".join(case.name for case in CASES))
-    parser.add_argument("--figures", type=Path, help="where to copy the figures that docs/discovery.md shows")
+    parser.add_argument("--figures", type=Path, help="where to copy the figures that docs/discovery-measured.md shows")
     options = parser.parse_args(arguments)
     for case in (case for case in CASES if case.name in options.cases.split(",")):
         folder = options.out / case.name

@@ -137,7 +137,7 @@ def test_nozzle_chokes_continuously(gamma: float) -> None:
 
 
 def test_leak_of_the_worked_case() -> None:
-    """The size that docs/discovery.md quotes: 67 mm2 passes about 1.06e-2 kg/s per bar of choked boost."""
+    """67 mm2 passes about 1.06e-2 kg/s per bar of choked boost."""
     flow = leak_flow(6.7e-5 / 1.5, 2.4e5, C.T_im, C.p_amb, C.R_a, C.gamma_a, C.choking_a)
     assert flow == pytest.approx(6.7e-5 / 1.5 * 2.4e5 / np.sqrt(C.R_a * C.T_im) * 0.6837, rel=2e-3)
     assert leak_flow(1e-4, 0.9e5, 300.0, 1e5, C.R_a, C.gamma_a, C.choking_a) == 0.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -25,7 +26,6 @@ from dieseltwin.sealed import sealed_json
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "report"))
 import synthetic_discovery as synthetic
 
-# docs/discovery.md: every key in its order
 KEYS = ["schema", "recording", "mismatch", "p_value", "location", "effects", "more_is_missing", "health", "fit",
         "minimum_detectable", "provenance", "warnings"]  # fmt: skip
 PARTS = {
@@ -47,6 +47,16 @@ def changed(path: str, value: Any) -> str:
         place = place[int(part)] if part.isdigit() else place[part]
     place[int(last) if last.isdigit() else last] = value
     return json.dumps(content)
+
+
+def test_the_docs_explain_every_key_in_its_order(project_root: Path) -> None:
+    text = (project_root / "docs" / "discovery.md").read_text(encoding="utf-8")
+    table = text[text.index("\n| key | holds |") :].split("\n\n", 1)[0]
+    explained = [key for row in table.splitlines()[3:] for key in re.findall(r"`(\w+)`", row.split("|")[1])]
+    fields = Discrepancy.model_fields.items()
+    keys = [field.serialization_alias or field.alias or name for name, field in fields]
+    assert set(explained) == set(keys)
+    assert [key for key in explained if key in KEYS[:-1]] == KEYS[:-1]  # `warnings` stands with those that may lack
 
 
 def test_keys_are_those_of_the_schema() -> None:
