@@ -16,7 +16,7 @@ from dieseltwin.recordings.columns import Columns
 from dieseltwin.recordings.guess.physics import reversed_where_read
 from dieseltwin.recordings.named_columns import columns_sha256
 from dieseltwin.recordings.reader import Recording
-from dieseltwin.recordings.steady_points import SteadyPoints
+from dieseltwin.recordings.steady_points import SteadyPoints, once_each
 
 HOLD_S = 16.0
 """Of a point [s]. It begins at its reading; 2 % of turbo speed there are 0.08 % here at most, idle to full load."""
@@ -28,13 +28,14 @@ _FEWEST = 5
 
 
 def standing(points: SteadyPoints) -> list[Recording]:
-    """The points as recordings, one for each weather; readings stand in every row.
+    """The points as recordings, one for each weather; readings stand in every row. Copies count once, and an ambient
+    that nothing gave has no column, as in a recording.
 
     Raises:
         InputError: fewer than five points, weather that changes from point to point, or a position that counts the
             other way round: maps bend to that, and little is left to see.
     """
-    where = str(points.path or "points")
+    where, points = str(points.path or "points"), once_each(points)
     if points.size < _FEWEST:
         raise InputError(where, counted(points.size, "settled point"), f"{_FEWEST} or more", "measure more points")
     _refuse_turned(points, where)
@@ -74,12 +75,12 @@ def _refuse_turned(points: SteadyPoints, where: str) -> None:
 
 def _held(points: SteadyPoints, which: NDArray[np.int_]) -> Recording:
     rows = round(HOLD_S) + 1
-    names = [name for name in DIESEL_COLUMNS if name in points]
+    names = [name for name in DIESEL_COLUMNS if name in points and name not in points.assumed]
     time_s: NDArray[np.float64] = np.asarray(np.arange(which.size)[:, None] * _PERIOD_S + np.arange(rows)).ravel()
     columns: dict[str, NDArray[np.float64]] = {TIME: time_s}
     columns |= {name: np.repeat(points[name][which], rows) for name in names}
     return Recording(
         time_s, Columns(columns), float(np.median(points["p_amb_pa"][which])),
         float(np.median(points["t_amb_k"][which])), points.path, columns_sha256(columns),
-        points.notes, standing=True,
+        points.notes, made=points.made.among(columns), standing=True,
     )  # fmt: skip

@@ -16,9 +16,10 @@ from dieseltwin.engine.map_corrections import basis
 from dieseltwin.engine.terms import CorrectionTerm, corrections_in
 from dieseltwin.errors import InputError
 from dieseltwin.learning.files import load_learned
+from dieseltwin.recordings.derived import STAND_IN_PA
 from dieseltwin.recordings.noise import SETTLED_NOISE
 from dieseltwin.recordings.standing import HOLD_S, standing
-from dieseltwin.recordings.steady_points import points
+from dieseltwin.recordings.steady_points import points, read_points
 from tests.api.simulated import drive
 
 OWN = we2011.PARAMETERS.replace(eta_cmax=0.72, A_egrmax=3.6e-4)
@@ -98,6 +99,41 @@ def test_weather_that_drifts_within_a_day_is_one() -> None:
     days = standing(points(table, needed=()))
     assert [len(day.pieces()) for day in days] == [8, 1]
     assert days[1].t_amb_k == 303.0
+
+
+def test_copies_of_a_point_count_once() -> None:
+    table = settled(OWN, 8, 6)
+    (day,) = standing(points(pd.concat([table, table[:3]]), needed=()))
+    assert len(day.pieces()) == 8 and any("3 of 11 points are copies" in note for note in day.notes)
+
+
+def test_weather_that_no_column_gives_is_not_taken_for_read() -> None:
+    """Points of 950 hPa and 285 K were an intake sensor that reads 5.9 kPa too little, by 7.7 standard deviations."""
+    elsewhere = OWN.replace(p_amb=95_000.0, T_amb=285.0)
+    found = dt.learn(settled(elsewhere, 40, 3).drop(columns=["p_amb_pa", "t_amb_k"]))
+    assert isinstance(found, LearnedResult) and not found.known.suspected and found.known.converged
+    assert not {"p_amb_pa", "t_amb_k"} & set(found.known.recordings[0].columns)
+
+
+def test_an_ambient_that_some_cells_lack_is_that_of_the_others() -> None:
+    """They had the engine's own, and were points of another day."""
+    table = settled(OWN.replace(p_amb=92_000.0), 8, 6)
+    table.loc[[0, 3], "p_amb_pa"] = np.nan
+    assert [(len(day.pieces()), day.p_amb_pa) for day in standing(points(table, needed=()))] == [(8, 92_000.0)]
+
+
+@pytest.mark.parametrize("assumed", [90_000.0, STAND_IN_PA])
+def test_gauge_pressures_of_points_are_under_the_ambient_that_the_map_says(tmp_path: Path, assumed: float) -> None:
+    table = settled(OWN, 8, 6)
+    gauge = table["p_im_pa"] - OWN.p_amb
+    table.drop(columns=["p_amb_pa", "p_im_pa"]).assign(boost=1e-3 * gauge).to_csv(tmp_path / "p.csv", index=False)
+    channels = tmp_path / "map.yaml"
+    channels.write_text(f"boost: {{column: p_im_pa, unit: kPa, via: gauge, ambient_pa: {assumed:.0f}}}\n")
+    read = read_points(tmp_path / "p.csv", channels, OWN)
+    ambient = OWN.p_amb if assumed == STAND_IN_PA else assumed
+    assert read["p_amb_pa"] == pytest.approx(ambient) and read["p_im_pa"] == pytest.approx(gauge + ambient)
+    (day,) = standing(read)
+    assert day.p_amb_pa == pytest.approx(ambient) and day.made.follows == {"p_im_pa": {"p_amb_pa": 0}}
 
 
 def test_learning_begins_at_corrections_that_an_engine_has(tmp_path: Path) -> None:
