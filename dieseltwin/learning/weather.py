@@ -64,9 +64,10 @@ def of_own_weather(
         of_type: what engines of its type say, whose weather the maps are then of.
     """
     if of_type is None:
-        weights = np.array([item.running_s for item in recordings])
+        ordered = sorted(recordings, key=lambda item: item.sha256)  # a sum is another one in another order
+        weights = np.array([item.running_s for item in ordered])
         p_amb, t_amb = (
-            float(np.average([getattr(item, name) for item in recordings], weights=weights))
+            float(np.average([getattr(item, name) for item in ordered], weights=weights))
             for name in ("p_amb_pa", "t_amb_k")
         )
     else:

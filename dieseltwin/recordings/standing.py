@@ -6,6 +6,9 @@ What a settled point says of an engine is what a simulation at its inputs comes 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -50,6 +53,22 @@ def standing(points: SteadyPoints) -> list[Recording]:
             "learn from the points of some days at a time",
         )  # fmt: skip
     return [_held(points, np.flatnonzero(of_day == day)) for day in range(days)]
+
+
+def of_all_weathers(days: Sequence[Recording]) -> Recording:
+    """The recordings of one file as one, of which it is asked what its points tell: a few of another day tell more of
+    an engine, by themselves nothing. The weather is that of most.
+
+    Args:
+        days: as of `standing`, or one recording, which is given back.
+    """
+    if len(days) == 1:
+        return days[0]
+    columns = {name: np.concatenate([day.columns[name] for day in days]) for name in days[0].columns}
+    starts = np.cumsum([0.0, *(day.time_s[-1] + _PERIOD_S for day in days[:-1])])
+    columns[TIME] = np.concatenate([start + day.time_s for start, day in zip(starts, days, strict=True)])
+    most = max(days, key=lambda day: day.time_s.size)
+    return replace(most, time_s=columns[TIME], columns=Columns(columns), sha256=columns_sha256(columns))
 
 
 def _days(weather: NDArray[np.float64]) -> NDArray[np.int_]:

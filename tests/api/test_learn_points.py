@@ -18,7 +18,7 @@ from dieseltwin.errors import InputError
 from dieseltwin.learning.files import load_learned
 from dieseltwin.recordings.derived import STAND_IN_PA
 from dieseltwin.recordings.noise import SETTLED_NOISE
-from dieseltwin.recordings.standing import HOLD_S, standing
+from dieseltwin.recordings.standing import HOLD_S, of_all_weathers, standing
 from dieseltwin.recordings.steady_points import points, read_points
 from tests.api.simulated import drive
 
@@ -79,6 +79,22 @@ def test_points_of_two_days_are_two_recordings() -> None:
     assert [(len(day.pieces()), day.t_amb_k) for day in days] == [(4, 288.0), (4, 305.0)]
     assert all(day.standing and np.ptp(day.time_s[piece]) == HOLD_S for day in days for piece in day.pieces())
     np.testing.assert_array_equal(days[1].columns["p_im_pa"][:: int(HOLD_S) + 1], table["p_im_pa"][4:])
+
+
+def test_a_point_of_another_day_is_no_reference_by_itself_and_no_reason_to_refuse_the_others() -> None:
+    """It was "not enough excitation"; what reading did to the file was said once a day."""
+    table = settled(OWN, 12, 6).assign(t_amb_k=[OWN.T_amb] * 11 + [OWN.T_amb + 8.0])
+    table.loc[2, "w_c_kg_s"] = -1.0
+    days = standing(points(table, needed=()))
+    whole = of_all_weathers(days)
+    assert [len(day.pieces()) for day in days] == [11, 1] and len(whole.pieces()) == 12
+    assert whole.t_amb_k == OWN.T_amb and of_all_weathers(days[:1]) is days[0]
+    found = dt.learn(table)
+    assert isinstance(found, LearnedResult) and found.known.points == 12
+    assert [line for line in found.lines() if "at or below 0" in line] == [
+        "note: recording: 1 value of w_c_kg_s at or below 0 count as missing"]  # fmt: skip
+    with pytest.raises(InputError, match="not enough excitation"):
+        dt.learn(table.iloc[[0, 1, 3, 4, 11]])
 
 
 def test_what_no_reference_can_be_made_of_is_refused() -> None:
@@ -147,5 +163,7 @@ def test_learning_begins_at_corrections_that_an_engine_has(tmp_path: Path) -> No
     assert np.std(found.known.belief.coefficients - corrections) < 0.5 * np.std(corrections)
     again = load_learned(found.save(tmp_path / "mine.yaml"))
     assert again is not None and again.engine == found.engine
-    with pytest.raises(InputError, match="beside an engine whose maps are corrected"):
-        dt.learn(settled(corrected, 8, 11), corrected, siblings=[tmp_path / "mine.yaml"])
+    known_further = tmp_path / "mine.yaml"  # forgot what it had begun at, and began at the siblings' maps
+    for engine in (corrected, known_further):
+        with pytest.raises(InputError, match="beside an engine whose maps are corrected"):
+            dt.learn(settled(corrected, 8, 11), engine, siblings=[tmp_path / "mine.yaml"])
