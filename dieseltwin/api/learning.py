@@ -186,6 +186,9 @@ def _learn_diesel(
     check_rows(*together)
     refuse_overlapping(together, overlap, first=len(earlier))
     others = siblings_of(siblings, base, size, [*sources, *earlier])
+    if others and before is not None and before.prior is not None:
+        notes.append("note: what engines of its type told of it before is not counted any more: the siblings named now "
+                     "say it, so name all of them")  # fmt: skip
     prior, of_type = what_they_say(others.values(), of_own_weather(base, together), size) if others else (about, None)
     known, found = learn_engine(sources, base, size, before, settings, prior, of_type)
     _check_misfits(known, settings.misfit_max)

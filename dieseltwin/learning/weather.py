@@ -91,7 +91,8 @@ def as_sure_as_the_weather(
         exponents: by name; recordings: that show them; engine: of their weather (`of_own_weather`).
         beliefs: how far a reading of the weather may be off, and how far what no column gives.
     """
-    read = [name in item.columns for item in recordings for name in ("p_amb_pa", "t_amb_k")]
+    columns = (item.columns.get(name, np.array([np.nan])) for item in recordings for name in ("p_amb_pa", "t_amb_k"))
+    read = [bool(np.isfinite(values).any()) for values in columns]
     p_std, t_std = (beliefs.p_amb_read_pa, beliefs.t_amb_read_k) if all(read) else (beliefs.p_amb_pa, beliefs.t_amb_k)
     error = np.hypot(p_std / engine.p_cmap, 0.5 * t_std / engine.T_cmap)
     warmer = 0.5 * np.log([item.t_amb_k / engine.T_cmap for item in recordings])

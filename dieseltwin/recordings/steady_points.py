@@ -248,9 +248,13 @@ def beside_reference(judged: SteadyPoints, references: Sequence[SteadyPoints]) -
     common = [name for name in judged.columns if all(name in part for part in parts)]
     columns = {name: np.concatenate([part[name] for part in parts]) for name in common}
     columns[JUDGED] = np.concatenate([np.full(part.size, float(part is judged)) for part in parts])
-    notes = tuple(note for part in parts for note in part.notes)
+    notes = [note for part in parts for note in part.notes]
+    assumed = tuple(name for name in AMBIENT if any(name in part.assumed for part in parts))
+    notes += [f"{name} is there in some of the files only, and the engine file's or the channel map's value stands in "
+              "the others: what other weather does may look like a fault" for name in assumed
+              if not all(name in part.assumed for part in parts)]  # fmt: skip
     return replace(judged, columns=Columns(columns), row=np.concatenate([part.row for part in parts]),
-                   notes=notes)  # fmt: skip
+                   notes=tuple(notes), assumed=assumed)  # fmt: skip
 
 
 def once_each(points: SteadyPoints) -> SteadyPoints:

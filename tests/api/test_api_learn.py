@@ -26,6 +26,7 @@ from dieseltwin.learning.belief import Belief
 from dieseltwin.learning.domain import domain_of
 from dieseltwin.learning.files import UNSETTLED, UNTOLD, load_learned, save_learned, seal_of
 from dieseltwin.learning.levels import health_covariance
+from dieseltwin.learning.weather import OfType
 from dieseltwin.recordings.reader import recording
 from tests.api.learned import learned_file
 from tests.api.simulated import drive
@@ -115,6 +116,21 @@ def test_a_recording_that_two_siblings_rest_on_would_count_twice(tmp_path: Path)
     copied = replace(known.recordings[0], sha256="of other line ends")
     with pytest.raises(InputError, match="a recording of the new engine itself"):
         siblings_of([file], base, size, [copied])
+
+
+def test_siblings_that_are_named_now_take_the_place_of_those_before_which_is_said(tmp_path: Path) -> None:
+    file = learned_file(tmp_path)
+    known = load_learned(file)
+    assert known is not None
+    save_learned(known, tmp_path / "sibling.yaml")
+    own = recording(drive(70.0, seed=30))
+    told = Belief(known.believed.mean, 0.5 * known.believed.covariance)  # by other siblings
+    before = replace(known, prior=told, of_type=OfType({}, own.p_amb_pa, own.t_amb_k), recordings=(own,),
+                     misfits={own.sha256: 1.0})  # fmt: skip
+    save_learned(before, file)
+    found = dt.learn([drive(70.0, seed=33)], file, siblings=tmp_path / "sibling.yaml")
+    assert isinstance(found, LearnedResult) and len(found.known.recordings) == 2
+    assert any("told of it before is not counted any more" in line for line in found.lines())
 
 
 def test_the_repaired_engine_keeps_what_was_learned(tmp_path: Path) -> None:
