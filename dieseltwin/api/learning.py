@@ -22,7 +22,7 @@ from dieseltwin.discovery.verdict.checks import check_recording, check_rows
 from dieseltwin.engine import HEALTH, MEASURED, EngineParameters
 from dieseltwin.engine.map_corrections import ARGUMENTS, CORRECTED_POINTS, basis
 from dieseltwin.errors import InputError
-from dieseltwin.learning.belief import HEALTH_AT, about_corrections, prior_belief
+from dieseltwin.learning.belief import HEALTH_AT, about_corrections, is_about_corrections, prior_belief
 from dieseltwin.learning.domain import KNOWN_SHARE, functions_on_maps, share_of_box, uncertainty_along
 from dieseltwin.learning.files import LearnedEngine, going_on, learned_engine_of, save_learned, seal_of
 from dieseltwin.learning.levels import health_covariance
@@ -33,6 +33,7 @@ from dieseltwin.petrol.parameters import PetrolParameters
 from dieseltwin.recordings.columns import Columns
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.recordings.shared_rows import distinct, overlap, refuse_overlapping
+from dieseltwin.recordings.standing import of_all_weathers
 from dieseltwin.report import quantities
 from dieseltwin.report.discovery_words import magnitude_words
 from dieseltwin.report.learned import corrections
@@ -164,26 +165,30 @@ def _learn_diesel(
     settings = default_learn()
     size = before.map_rms if before is not None else settings.map_error if map_error is None else map_error
     base, about = about_corrections(base, size)
-    if about is not None and siblings:
+    began = before is not None and before.prior is not None and is_about_corrections(before.prior, base, size)
+    if siblings and (about is not None or began):
         raise InputError("--siblings", "beside an engine whose maps are corrected", "siblings of the base as it was",
                          "name the engine without corrections, or leave the siblings out")  # fmt: skip
     sources: list[Recording] = []
     for item in recordings:
-        for source in of_a_healthy_engine(item, channels, base):
-            used, doubts = check_recording(source, base, sensors)
+        days = of_a_healthy_engine(item, channels, base)
+        whole = of_all_weathers(days)
+        used, doubts = check_recording(whole, base, sensors)
+        notes += [of_reading(note, f"{whole.path or 'recording'}: ") for note in (*whole.notes, *doubts)]
+        for source in days:
             if sensors is not None:
                 source = replace(source, columns=Columns({
                     name: values for name, values in source.columns.items() if name not in MEASURED or name in used}))
-            told = (*source.notes, *doubts)
-            notes += [of_reading(note, f"{source.path or 'recording'}: ") for note in told]
             sources.append(source)
     earlier = () if before is None else before.recordings
     known_rows = {item.rows_sha256 for item in earlier}
     together = [*earlier, *(item for item in distinct(sources) if item.rows_sha256 not in known_rows)]
     check_rows(*together)
     refuse_overlapping(together, overlap, first=len(earlier))
-    own = {item.sha256 for item in (*sources, *earlier)}
-    others = siblings_of(siblings, base, size, own)
+    others = siblings_of(siblings, base, size, [*sources, *earlier])
+    if others and before is not None and before.prior is not None:
+        notes.append("note: what engines of its type told of it before is not counted any more: the siblings named now "
+                     "say it, so name all of them")  # fmt: skip
     prior, of_type = what_they_say(others.values(), of_own_weather(base, together), size) if others else (about, None)
     known, found = learn_engine(sources, base, size, before, settings, prior, of_type)
     _check_misfits(known, settings.misfit_max)
@@ -194,7 +199,8 @@ def _learn_diesel(
     known = replace(known, suspected=(*_far_off(known), *suspected))
     notes += [f"note: --siblings {name}: {doubt}; what the type has in common is learned from it all the same, "
               "so leave it out if it wasn't well" for name, one in others.items() for doubt in one.doubts]  # fmt: skip
-    return LearnedResult(known, found, (*notes, *(f"note: {doubt}" for doubt in known.doubts)), read)
+    notes += [f"note: {doubt}" for doubt in known.doubts]
+    return LearnedResult(known, found, tuple(notes), read)
 
 
 def known_engine(
@@ -302,7 +308,7 @@ def corrected_maps(learned: LearnedEngine, about: np.ndarray | None = None) -> l
     rows = []
     for m, point in enumerate(CORRECTED_POINTS):
         if point in learned.domain:
-            inside, at = uncertain[m] < KNOWN_SHARE * prior[m], functions.maps == m
+            inside, at = uncertain[m] < KNOWN_SHARE * learned.errors, functions.maps == m  # as `domain_of`
             parts = (prior[m][inside], corrections[at] @ tables[at][:, inside], uncertain[m][inside])
             believed, corrected, known_to = (float(np.sqrt(np.mean(part**2))) for part in parts)
             rows.append(CorrectedMap(point, believed, corrected, known_to, share_of_box(inside)))

@@ -159,6 +159,11 @@ def about_corrections(engine: EngineParameters, map_rms: float) -> tuple[EngineP
     return bare, Belief(mean, usual.covariance)
 
 
+def is_about_corrections(prior: Belief, engine: EngineParameters, map_rms: float) -> bool:
+    """Whether a belief is that of `about_corrections`, as unsure as of any engine; arguments as of `prior_belief`."""
+    return np.array_equal(prior.covariance, prior_belief(engine, map_rms).covariance)
+
+
 def with_further(belief: Belief, map_rms: float, further: Further) -> Belief:
     """A belief with further errors of the maps; arguments as of `prior_belief`."""
     if further == NOTHING_FURTHER:

@@ -38,12 +38,10 @@ _TABLES = (
     " t_amb_k REAL NOT NULL, verdict TEXT NOT NULL, row TEXT NOT NULL, checksum TEXT NOT NULL) STRICT",
 )
 
-
 _TAKEN_OUT = (  # made with the first recording that is taken out: most histories have none
     "CREATE TABLE IF NOT EXISTS taken_out (sha256 TEXT PRIMARY KEY, row TEXT NOT NULL, day TEXT NOT NULL,"
     " reason TEXT NOT NULL, checksum TEXT NOT NULL) STRICT"
 )
-
 
 HEALTHY, AND, OR = "healthy", " + ", " or "
 """A verdict without an effect, what stands between those of one, and between names that can't be told apart."""
@@ -269,11 +267,12 @@ class History:
     def take_out(self, sha256: str, reason: str) -> None:
         """Let a recording count no more. It stays in the file, with the day and the reason."""
         with self._opened() as connection:
-            row, = connection.execute("SELECT row FROM recordings WHERE sha256 = ?", (sha256,)).fetchone()
+            row = connection.execute("SELECT row FROM recordings WHERE sha256 = ?", (sha256,)).fetchone()
+            if row is None:  # another process was first
+                return
             connection.execute(_TAKEN_OUT)
-            day = datetime.now(UTC).isoformat(timespec="seconds")
-            values = (sha256, row, day, reason, _checksum(row, day, reason))
-            connection.execute("INSERT INTO taken_out VALUES (?, ?, ?, ?, ?)", values)
+            told = (*row, datetime.now(UTC).isoformat(timespec="seconds"), reason)
+            connection.execute("INSERT INTO taken_out VALUES (?, ?, ?, ?, ?)", (sha256, *told, _checksum(*told)))
             connection.execute("DELETE FROM recordings WHERE sha256 = ?", (sha256,))
 
     def put_back(self, taken: TakenOut) -> None:
@@ -283,8 +282,9 @@ class History:
             InputError: as `refuse_shared`: another one with its driving was added since.
         """
         with self._opened() as connection:
-            self._refuse_shared(connection, taken.entry.rows_sketch, taken.entry.path)
-            _insert(connection, taken.entry)
+            if not _holds(connection, taken.entry.sha256):  # else another process was first
+                self._refuse_shared(connection, taken.entry.rows_sketch, taken.entry.path)
+                _insert(connection, taken.entry)
             connection.execute("DELETE FROM taken_out WHERE sha256 = ?", (taken.entry.sha256,))
 
     def taken_out(self) -> tuple[TakenOut, ...]:

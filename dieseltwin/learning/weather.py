@@ -64,9 +64,10 @@ def of_own_weather(
         of_type: what engines of its type say, whose weather the maps are then of.
     """
     if of_type is None:
-        weights = np.array([item.running_s for item in recordings])
+        ordered = sorted(recordings, key=lambda item: item.sha256)  # a sum is another one in another order
+        weights = np.array([item.running_s for item in ordered])
         p_amb, t_amb = (
-            float(np.average([getattr(item, name) for item in recordings], weights=weights))
+            float(np.average([getattr(item, name) for item in ordered], weights=weights))
             for name in ("p_amb_pa", "t_amb_k")
         )
     else:
@@ -90,7 +91,8 @@ def as_sure_as_the_weather(
         exponents: by name; recordings: that show them; engine: of their weather (`of_own_weather`).
         beliefs: how far a reading of the weather may be off, and how far what no column gives.
     """
-    read = [name in item.columns for item in recordings for name in ("p_amb_pa", "t_amb_k")]
+    columns = (item.columns.get(name, np.array([np.nan])) for item in recordings for name in ("p_amb_pa", "t_amb_k"))
+    read = [bool(np.isfinite(values).any()) for values in columns]
     p_std, t_std = (beliefs.p_amb_read_pa, beliefs.t_amb_read_k) if all(read) else (beliefs.p_amb_pa, beliefs.t_amb_k)
     error = np.hypot(p_std / engine.p_cmap, 0.5 * t_std / engine.T_cmap)
     warmer = 0.5 * np.log([item.t_amb_k / engine.T_cmap for item in recordings])

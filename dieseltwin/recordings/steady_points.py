@@ -7,7 +7,6 @@ says how many it found.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -21,6 +20,7 @@ from dieseltwin.engine.parameters import EngineParameters
 from dieseltwin.errors import InputError
 from dieseltwin.notes import counted
 from dieseltwin.recordings.channels import (
+    AMBIENT,
     INPUTS,
     OPTIONAL_INPUTS,
     SENSORS,
@@ -30,9 +30,10 @@ from dieseltwin.recordings.channels import (
     known_columns,
 )
 from dieseltwin.recordings.columns import Columns
+from dieseltwin.recordings.derived import NOTHING, Made
+from dieseltwin.recordings.moving import refuse_moving
 from dieseltwin.recordings.named_columns import Imported, import_columns
 from dieseltwin.recordings.plausibility import bridge_inputs, check_plausible, mask_wild
-from dieseltwin.recordings.ranks import ranks
 from dieseltwin.recordings.reader import check_time
 from dieseltwin.recordings.unit_checks import unit_notes
 from dieseltwin.settings.strict import listed
@@ -59,14 +60,6 @@ USUAL_CHARGE = "usual:t_im_k"
 SINCE = "since:"
 """Begin of columns "since:<name>": 1 for judged points in which something that was found acts, 0 elsewhere."""
 
-MOVING = ("n_e_rpm", "u_delta_mg", "p_im_pa")
-FEWEST_MOVING = 30  # rows, to say that they are those of a recording
-NEAR_BESIDE_COUNTER, NEAR, VERY_NEAR = 0.15, 0.03, 0.01
-"""`roughness` of the roughest of `MOVING`: at 10 Hz below 0.01, at 5 and 1 Hz 0.03 to 0.14; of 145 points of a truck
-engine 0.4 and more as they are or sorted by any column, and from 0.033 on in lines over a map, to and fro."""
-MOST_TURNS, LONGEST_CURVE = 2, 60  # turns of speed, and rows: a full-load curve up and down is smooth as well
-_COUNTER = re.compile(r"sample|tick|scan|count|frame|z(ae|ä)hler", re.IGNORECASE)
-
 LEAST = 1e-6  # kg/s (and any other unit): the flow through a shut valve, so that logarithms exist
 WINDOW_S = 10.0  # a quasi-steady window lasts this long,
 FEWEST_ROWS = 5  # has so many rows at least,
@@ -86,6 +79,8 @@ class SteadyPoints:
         path, sha256: where it was read from.
         origin: "points" as given, or "averaged quasi-steady windows of a transient recording".
         notes: what reading did to them, one sentence each.
+        made: columns that a channel map computed from others.
+        assumed: columns of the ambient that nothing gave: the engine's values, or the channel map's, stand in them.
     """
 
     columns: Mapping[str, np.ndarray]
@@ -94,6 +89,8 @@ class SteadyPoints:
     sha256: str = ""
     origin: str = "points"
     notes: tuple[str, ...] = ()
+    made: Made = NOTHING
+    assumed: tuple[str, ...] = ()
 
     @property
     def size(self) -> int:
@@ -174,8 +171,10 @@ def points(
     path: Path | None = None,
     sha256: str = "",
     origin: str = "points",
+    made: Made = NOTHING,
 ) -> SteadyPoints:
-    """Validate columns with our names and units. Ambient columns that are missing take the engine's values.
+    """Validate columns with our names and units. Ambient columns that are missing take the engine's values, and cells
+    that are missing in one take the median of the others.
 
     Rows without inputs are dropped (`row` keeps the numbers), those of optional inputs too where most rows have them;
     an optional input that most rows lack is left out itself.
@@ -209,8 +208,10 @@ def points(
             notes.append(f"{infinite} infinite values of {name} count as missing")
     notes.extend(mask_wild(columns))
     size = len(next(iter(columns.values()))) if columns else 0
-    for name, value in (("p_amb_pa", engine.p_amb), ("t_amb_k", engine.T_amb)):
-        columns[name] = np.where(np.isnan(columns[name]), value, columns[name]) if name in columns \
+    made, p_amb = made.of_recording(columns, engine.p_amb)
+    read = {name: columns[name] for name in AMBIENT if name in columns and np.isfinite(columns[name]).any()}
+    for name, value in zip(AMBIENT, (p_amb, engine.T_amb), strict=True):
+        columns[name] = np.where(np.isnan(read[name]), np.nanmedian(read[name]), read[name]) if name in read \
             else np.full(size, value)
     for name in (name for name in OPTIONAL_INPUTS if name in columns):
         lacking = int(np.count_nonzero(np.isnan(columns[name])))
@@ -228,7 +229,8 @@ def points(
         values.setflags(write=False)
     if not whole.all():
         notes.append(f"{int(np.count_nonzero(~whole))} of {size} rows are left out: an input is missing")
-    return SteadyPoints(Columns(columns), np.flatnonzero(whole) + 1, path, sha256, origin, tuple(notes))
+    assumed = tuple(name for name in AMBIENT if name not in read)
+    return SteadyPoints(Columns(columns), np.flatnonzero(whole) + 1, path, sha256, origin, tuple(notes), made, assumed)
 
 
 def beside_reference(judged: SteadyPoints, references: Sequence[SteadyPoints]) -> SteadyPoints:
@@ -246,9 +248,13 @@ def beside_reference(judged: SteadyPoints, references: Sequence[SteadyPoints]) -
     common = [name for name in judged.columns if all(name in part for part in parts)]
     columns = {name: np.concatenate([part[name] for part in parts]) for name in common}
     columns[JUDGED] = np.concatenate([np.full(part.size, float(part is judged)) for part in parts])
-    notes = tuple(note for part in parts for note in part.notes)
+    notes = [note for part in parts for note in part.notes]
+    assumed = tuple(name for name in AMBIENT if any(name in part.assumed for part in parts))
+    notes += [f"{name} is there in some of the files only, and the engine file's or the channel map's value stands in "
+              "the others: what other weather does may look like a fault" for name in assumed
+              if not all(name in part.assumed for part in parts)]  # fmt: skip
     return replace(judged, columns=Columns(columns), row=np.concatenate([part.row for part in parts]),
-                   notes=notes)  # fmt: skip
+                   notes=tuple(notes), assumed=assumed)  # fmt: skip
 
 
 def once_each(points: SteadyPoints) -> SteadyPoints:
@@ -289,57 +295,9 @@ def read_points(
     else:
         columns, notes = quasi_steady(columns, str(read.path or "recording"))
         origin = "averaged quasi-steady windows of a transient recording"
-    found = points(columns, engine, where=where, needed=needed, path=read.path, sha256=read.sha256 or "", origin=origin)
+    found = points(columns, engine, where=where, needed=needed, path=read.path, sha256=read.sha256 or "", origin=origin,
+                   made=read.made)  # fmt: skip
     return replace(found, notes=(*read.notes, *notes, *found.notes))
-
-
-def refuse_moving(columns: Mapping[str, np.ndarray], where: str) -> list[str]:
-    """Refuse rows that are those of a recording whose time is missing; a note where that isn't sure.
-
-    A moving engine's rows are near to the row before in speed and in fuel and in boost. Points sorted by one of them,
-    or in lines over a map, jump in another; a line that goes through a map to and fro has larger steps.
-
-    Args:
-        columns: our column names -> (n,).
-        where: name of the file, for messages.
-
-    Raises:
-        InputError: rows of a moving engine, without a clock.
-    """
-    moving = [np.asarray(pd.to_numeric(pd.Series(columns[name]), errors="coerce"), dtype=np.float64)
-              for name in MOVING if name in columns]  # fmt: skip
-    if len(moving) < len(MOVING) or moving[0].size < FEWEST_MOVING:
-        return []
-    roughest = max(map(roughness, moving))
-    turns = np.count_nonzero(np.diff(np.sign(np.diff(moving[0]))))
-    curve = turns <= MOST_TURNS and moving[0].size < LONGEST_CURVE
-    counter = next((name for name, values in columns.items() if _counts(name, values)), None)
-    if curve or roughest > (NEAR if counter is None else NEAR_BESIDE_COUNTER):
-        return []
-    clock = f"map column {counter} to {TIME} with its step as scale" if counter else f"add {TIME}"
-    if roughest < VERY_NEAR:
-        raise InputError(where, "no column of time, and rows that follow each other as those of a moving engine do",
-                         "settled points, or a recording with its time",
-                         f"{clock} (in a channel map), or average stretches that stand still")  # fmt: skip
-    return ["taken as settled points for want of a column of time, though speed, fuel and boost go on from row to row "
-            f"as in a recording: if it is one, {clock}, else transients look like faults"]  # fmt: skip
-
-
-def roughness(values: np.ndarray) -> float:
-    """Half the squared step from row to row over the variance, both of ranks (n,): 1 by chance, 0 where rows go on."""
-    there = values[np.isfinite(values)]
-    if there.size < 3 or np.ptp(there) == 0.0:
-        return 1.0
-    order = ranks(there)
-    return float(np.mean(np.diff(order) ** 2) / (2.0 * np.var(order)))
-
-
-def _counts(name: str, values: np.ndarray) -> bool:
-    """Whether a column is a logger's count of rows; points have numbers as well, but aren't called samples."""
-    if not _COUNTER.search(name) or not np.issubdtype(np.asarray(values).dtype, np.number):
-        return False
-    steps = np.diff(np.asarray(values, dtype=np.float64))
-    return bool(steps.size and steps[0] > 0.0 and (steps == steps[0]).all())
 
 
 def quasi_steady(

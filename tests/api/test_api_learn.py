@@ -14,15 +14,19 @@ import dieseltwin as dt
 from dieseltwin.api.discovery import ask
 from dieseltwin.api.driving import DrivingQuestion
 from dieseltwin.api.identification import ask as ask_to_identify
-from dieseltwin.api.learning import LearnedResult, _check_misfits, _check_told, _in_its_unit
+from dieseltwin.api.learning import LearnedResult, _check_misfits, _check_told, _in_its_unit, corrected_maps
 from dieseltwin.api.points import _MEAN_MAPS, PointsQuestion
+from dieseltwin.api.siblings import siblings_of
 from dieseltwin.discovery.fit_test import examine
 from dieseltwin.discovery.reference.evidence import Learned
 from dieseltwin.engine import HEALTH, MEASURED, EngineParameters, we2011
 from dieseltwin.engine.terms import Term
 from dieseltwin.errors import InputError
+from dieseltwin.learning.belief import Belief
+from dieseltwin.learning.domain import domain_of
 from dieseltwin.learning.files import UNSETTLED, UNTOLD, load_learned, save_learned, seal_of
 from dieseltwin.learning.levels import health_covariance
+from dieseltwin.learning.weather import OfType
 from dieseltwin.recordings.reader import recording
 from tests.api.learned import learned_file
 from tests.api.simulated import drive
@@ -84,6 +88,52 @@ def test_recordings_that_tell_nothing_are_refused(tmp_path: Path) -> None:
     _check_told(known)
     with pytest.raises(InputError, match="nothing that tells health or maps"):
         _check_told(replace(known, belief=known.believed))
+
+
+def test_where_a_map_is_known_is_told_by_one_measure(tmp_path: Path) -> None:
+    """At the edge of known, a map was in the domain of which no node was known: its row was of NaN."""
+    known = load_learned(learned_file(tmp_path))
+    assert known is not None
+    belief = Belief(known.belief.mean, 0.502**2 * known.believed.covariance)
+    edge = replace(known, belief=belief, domain=domain_of(belief, known.errors, known.base))
+    rows = corrected_maps(edge)
+    assert {row.point for row in rows} == edge.domain.keys() != set()
+    assert all(np.isfinite((row.believed, row.corrected, row.known_to, row.share)).all() for row in rows)
+
+
+def test_a_recording_that_two_siblings_rest_on_would_count_twice(tmp_path: Path) -> None:
+    """An engine as it was learned first, and further: its first recording counted as that of two engines."""
+    file = learned_file(tmp_path)
+    known = load_learned(file)
+    assert known is not None
+    more = recording(drive(30.0, seed=30))
+    both = tuple(sorted((*known.recordings, more), key=lambda item: item.sha256))
+    further = replace(known, recordings=both, misfits={item.sha256: 1.0 for item in both})
+    save_learned(further, tmp_path / "further.yaml")
+    save_learned(known, tmp_path / "copy.yaml")
+    base, size = known.base, known.map_rms
+    assert len(siblings_of([file, tmp_path / "copy.yaml"], base, size, [])) == 1
+    for order in ([file, tmp_path / "further.yaml"], [tmp_path / "further.yaml", file]):
+        with pytest.raises(InputError, match=f"a recording that {order[0]} was learned from, too"):
+            siblings_of(order, base, size, [])
+    copied = replace(known.recordings[0], sha256="of other line ends")
+    with pytest.raises(InputError, match="a recording of the new engine itself"):
+        siblings_of([file], base, size, [copied])
+
+
+def test_siblings_that_are_named_now_take_the_place_of_those_before_which_is_said(tmp_path: Path) -> None:
+    file = learned_file(tmp_path)
+    known = load_learned(file)
+    assert known is not None
+    save_learned(known, tmp_path / "sibling.yaml")
+    own = recording(drive(70.0, seed=30))
+    told = Belief(known.believed.mean, 0.5 * known.believed.covariance)  # by other siblings
+    before = replace(known, prior=told, of_type=OfType({}, own.p_amb_pa, own.t_amb_k), recordings=(own,),
+                     misfits={own.sha256: 1.0})  # fmt: skip
+    save_learned(before, file)
+    found = dt.learn([drive(70.0, seed=33)], file, siblings=tmp_path / "sibling.yaml")
+    assert isinstance(found, LearnedResult) and len(found.known.recordings) == 2
+    assert any("told of it before is not counted any more" in line for line in found.lines())
 
 
 def test_the_repaired_engine_keeps_what_was_learned(tmp_path: Path) -> None:

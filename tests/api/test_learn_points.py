@@ -16,9 +16,10 @@ from dieseltwin.engine.map_corrections import basis
 from dieseltwin.engine.terms import CorrectionTerm, corrections_in
 from dieseltwin.errors import InputError
 from dieseltwin.learning.files import load_learned
+from dieseltwin.recordings.derived import STAND_IN_PA
 from dieseltwin.recordings.noise import SETTLED_NOISE
-from dieseltwin.recordings.standing import HOLD_S, standing
-from dieseltwin.recordings.steady_points import points
+from dieseltwin.recordings.standing import HOLD_S, of_all_weathers, standing
+from dieseltwin.recordings.steady_points import points, read_points
 from tests.api.simulated import drive
 
 OWN = we2011.PARAMETERS.replace(eta_cmax=0.72, A_egrmax=3.6e-4)
@@ -80,6 +81,29 @@ def test_points_of_two_days_are_two_recordings() -> None:
     np.testing.assert_array_equal(days[1].columns["p_im_pa"][:: int(HOLD_S) + 1], table["p_im_pa"][4:])
 
 
+def test_a_point_of_another_day_is_no_reference_by_itself_and_no_reason_to_refuse_the_others() -> None:
+    """It was "not enough excitation"; what reading did to the file was said once a day."""
+    table = settled(OWN, 12, 6).assign(t_amb_k=[OWN.T_amb] * 11 + [OWN.T_amb + 8.0])
+    table.loc[2, "w_c_kg_s"] = -1.0
+    days = standing(points(table, needed=()))
+    whole = of_all_weathers(days)
+    assert [len(day.pieces()) for day in days] == [11, 1] and len(whole.pieces()) == 12
+    assert whole.t_amb_k == OWN.T_amb and of_all_weathers(days[:1]) is days[0]
+    found = dt.learn(table)
+    assert isinstance(found, LearnedResult) and found.known.points == 12
+    assert [line for line in found.lines() if "at or below 0" in line] == [
+        "note: recording: 1 value of w_c_kg_s at or below 0 count as missing"]  # fmt: skip
+    with pytest.raises(InputError, match="not enough excitation"):
+        dt.learn(table[:5])
+
+
+def test_few_points_are_not_said_to_count_the_other_way_by_chance() -> None:
+    """Of a hundred sets of twelve points of an engine that is as it should be, five were refused."""
+    table, rng = settled(OWN, 120, 3), np.random.default_rng(1)
+    for _ in range(60):
+        assert standing(points(table.iloc[rng.choice(120, 8, replace=False)], needed=()))
+
+
 def test_what_no_reference_can_be_made_of_is_refused() -> None:
     table = settled(OWN, 8, 7)
     with pytest.raises(InputError, match="4 settled points; allowed: 5 or more"):
@@ -100,6 +124,41 @@ def test_weather_that_drifts_within_a_day_is_one() -> None:
     assert days[1].t_amb_k == 303.0
 
 
+def test_copies_of_a_point_count_once() -> None:
+    table = settled(OWN, 8, 6)
+    (day,) = standing(points(pd.concat([table, table[:3]]), needed=()))
+    assert len(day.pieces()) == 8 and any("3 of 11 points are copies" in note for note in day.notes)
+
+
+def test_weather_that_no_column_gives_is_not_taken_for_read() -> None:
+    """Points of 950 hPa and 285 K were an intake sensor that reads 5.9 kPa too little, by 7.7 standard deviations."""
+    elsewhere = OWN.replace(p_amb=95_000.0, T_amb=285.0)
+    found = dt.learn(settled(elsewhere, 40, 3).drop(columns=["p_amb_pa", "t_amb_k"]))
+    assert isinstance(found, LearnedResult) and not found.known.suspected and found.known.converged
+    assert not {"p_amb_pa", "t_amb_k"} & set(found.known.recordings[0].columns)
+
+
+def test_an_ambient_that_some_cells_lack_is_that_of_the_others() -> None:
+    """They had the engine's own, and were points of another day."""
+    table = settled(OWN.replace(p_amb=92_000.0), 8, 6)
+    table.loc[[0, 3], "p_amb_pa"] = np.nan
+    assert [(len(day.pieces()), day.p_amb_pa) for day in standing(points(table, needed=()))] == [(8, 92_000.0)]
+
+
+@pytest.mark.parametrize("assumed", [90_000.0, STAND_IN_PA])
+def test_gauge_pressures_of_points_are_under_the_ambient_that_the_map_says(tmp_path: Path, assumed: float) -> None:
+    table = settled(OWN, 8, 6)
+    gauge = table["p_im_pa"] - OWN.p_amb
+    table.drop(columns=["p_amb_pa", "p_im_pa"]).assign(boost=1e-3 * gauge).to_csv(tmp_path / "p.csv", index=False)
+    channels = tmp_path / "map.yaml"
+    channels.write_text(f"boost: {{column: p_im_pa, unit: kPa, via: gauge, ambient_pa: {assumed:.0f}}}\n")
+    read = read_points(tmp_path / "p.csv", channels, OWN)
+    ambient = OWN.p_amb if assumed == STAND_IN_PA else assumed
+    assert read["p_amb_pa"] == pytest.approx(ambient) and read["p_im_pa"] == pytest.approx(gauge + ambient)
+    (day,) = standing(read)
+    assert day.p_amb_pa == pytest.approx(ambient) and day.made.follows == {"p_im_pa": {"p_amb_pa": 0}}
+
+
 def test_learning_begins_at_corrections_that_an_engine_has(tmp_path: Path) -> None:
     """As of what `discover` repaired on points: more is learned of the maps, about where they were corrected to."""
     corrections = 0.015 * np.random.default_rng(9).standard_normal(len(basis().names)) * basis().usual
@@ -111,5 +170,7 @@ def test_learning_begins_at_corrections_that_an_engine_has(tmp_path: Path) -> No
     assert np.std(found.known.belief.coefficients - corrections) < 0.5 * np.std(corrections)
     again = load_learned(found.save(tmp_path / "mine.yaml"))
     assert again is not None and again.engine == found.engine
-    with pytest.raises(InputError, match="beside an engine whose maps are corrected"):
-        dt.learn(settled(corrected, 8, 11), corrected, siblings=[tmp_path / "mine.yaml"])
+    known_further = tmp_path / "mine.yaml"  # forgot what it had begun at, and began at the siblings' maps
+    for engine in (corrected, known_further):
+        with pytest.raises(InputError, match="beside an engine whose maps are corrected"):
+            dt.learn(settled(corrected, 8, 11), engine, siblings=[tmp_path / "mine.yaml"])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -63,6 +65,19 @@ def test_another_unit_than_the_reference_has_is_said(well: SteadyPoints, judged:
     assert not notes(judged.with_columns(w_c_kg_s=1.15 * judged["w_c_kg_s"], w_egr_kg_s=0.5 * judged["w_egr_kg_s"]))
     in_hertz = judged.with_columns(omega_t_rad_s=judged["omega_t_rad_s"] / (2.0 * np.pi))
     assert "omega_t_rad_s is 0.16 times what the reference reads" in notes(in_hertz)[0]
+
+
+def test_weather_that_one_of_both_files_has_is_said(well: SteadyPoints, judged: SteadyPoints) -> None:
+    """The engine file's stood in the other, 20 K from the day, without a word."""
+    (read, other), (lacking, well_lacking) = (
+        [replace(one, assumed=assumed) for one in (judged, well)] for assumed in ((), ("t_amb_k",))
+    )  # fmt: skip
+    known = beside_reference(read, [other])
+    for found in (beside_reference(lacking, [other]), beside_reference(read, [well_lacking])):
+        told, = set(found.notes) - set(known.notes)
+        assert "t_amb_k is there in some of the files only" in told and found.assumed == ("t_amb_k",)
+    both = beside_reference(lacking, [well_lacking])
+    assert both.notes == known.notes and both.assumed == ("t_amb_k",)
 
 
 def test_a_reading_that_many_points_lack_is_said(judged: SteadyPoints) -> None:

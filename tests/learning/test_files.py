@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import permutations
 from pathlib import Path
 
 import numpy as np
@@ -241,7 +242,16 @@ def test_exponents_are_no_surer_than_the_weather_that_shows_them(two):
     said = as_sure_as_the_weather(shown, days, of_own_weather(we2011.PARAMETERS, days), beliefs)
     assert 0.03 < said["k_cflow"].std < 0.06 and 0.15 < said["k_cspeed"].std < 0.3
     unread = [replace(item, columns=one.columns) for item, one in zip(days, two, strict=True)]
-    assert as_sure_as_the_weather(shown, unread, of_own_weather(we2011.PARAMETERS, days), beliefs) == {}
+    empty = [replace(item, columns={**item.columns, "p_amb_pa": np.full(item.time_s.size, np.nan)}) for item in days]
+    for some in (unread, empty):
+        assert as_sure_as_the_weather(shown, some, of_own_weather(we2011.PARAMETERS, days), beliefs) == {}
+
+
+def test_the_weather_of_recordings_is_the_same_in_any_order(two):
+    days = [replace(item, sha256=name, p_amb_pa=p_amb, t_amb_k=t_amb) for item, name, p_amb, t_amb in
+            zip((*two, *two), "abcd", (101325.3, 94012.7, 88000.1, 99000.77), (293.15, 281.37, 301.9, 277.77),
+                strict=True)]  # fmt: skip
+    assert len({of_own_weather(we2011.PARAMETERS, some) for some in permutations(days)}) == 1
 
 
 def test_what_engines_of_the_type_say_is_kept_and_its_weather_is_that_of_the_maps(tmp_path: Path, two):

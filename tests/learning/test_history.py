@@ -251,6 +251,19 @@ def test_what_is_taken_out_counts_no_more_is_kept_and_comes_back(tmp_path: Path)
         store.taken_out()
 
 
+def test_two_who_take_a_recording_out_or_back_at_once_are_no_damage(tmp_path: Path) -> None:
+    """The second had a traceback, or was told of a damaged history."""
+    store = History(tmp_path, ENGINE)
+    store.add(entry(0))
+    store.take_out(entry(0).sha256, "on another lorry")
+    store.take_out(entry(0).sha256, "of no interest")
+    taken, = store.taken_out()
+    assert taken.reason == "on another lorry"
+    for _ in range(2):
+        store.put_back(taken)
+        assert [e.path for e in store.entries()] == ["0.csv"] and store.taken_out() == ()
+
+
 def test_a_recording_is_meant_by_the_beginning_of_its_name_and_one_that_is_out_already_is_said(tmp_path: Path) -> None:
     store = History(tmp_path, ENGINE)
     for k, name in enumerate(("a_1.csv", "a_2.csv", "b.csv")):

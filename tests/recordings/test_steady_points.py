@@ -9,8 +9,9 @@ import pandas as pd
 import pytest
 
 from dieseltwin.errors import InputError
+from dieseltwin.recordings.moving import roughness
 from dieseltwin.recordings.named_columns import import_columns
-from dieseltwin.recordings.steady_points import JUDGED, SteadyPoints, read_points, roughness
+from dieseltwin.recordings.steady_points import JUDGED, SteadyPoints, read_points
 
 REFERENCE = Path(__file__).parents[1] / "reference" / "field_random_300s.csv"
 COLUMNS = ["n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct", "p_im_pa", "p_em_pa", "omega_t_rad_s", "w_c_kg_s"]

@@ -35,20 +35,28 @@ _STRANGE = 4.0  # standard deviations of its prior beyond which weather is anoth
 
 
 def recorded_twin(
-    recording: Recording, engine: EngineParameters, map_rms: float, beliefs: CircumstanceSettings | None = None
-) -> LoggedTwin:
-    """The twin of a recording of a healthy engine, under the circumstances that it shows; `beliefs` of these, None for
-    those of params.yaml.
+    recording: Recording, engine: EngineParameters, map_rms: float, beliefs: CircumstanceSettings | None = None,
+    between_rows: bool | None = None,
+) -> LoggedTwin:  # fmt: skip
+    """The twin of a recording of a healthy engine, under the circumstances that it shows.
 
     Inputs may have moved between its rows where clocks seem to be off or more than noise is left, and that explains
     more. Taken for straight, they were clocks, rougher maps, effects, or a misfit that refused a healthy engine.
+
+    Args:
+        recording, engine: as read, and as believed before; map_rms: size of its maps' errors [-].
+        beliefs: of the circumstances, None for those of params.yaml.
+        between_rows: whether inputs may have moved between the rows, where a fit before has told; None asks.
 
     Raises:
         InputError: no usable sensor, or no stretch with the engine running.
     """
     twin = LoggedTwin(recording, engine, map_tolerance=map_rms, beliefs=beliefs)
+    if between_rows:
+        twin = twin.with_inputs_between_rows() or twin
     found = _examined(twin)
-    if (_clocks_seem_off(found) or leaves_more(found)) and (quick := twin.with_inputs_between_rows()) is not None:
+    asked = between_rows is None and (_clocks_seem_off(found) or leaves_more(found))
+    if asked and (quick := twin.with_inputs_between_rows()) is not None:
         other = _examined(quick)
         if likelier(found, other, lambda _: 0.0) is other:
             twin, found = quick, other

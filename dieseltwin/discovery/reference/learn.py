@@ -132,19 +132,24 @@ def _begun(
     """The fit of usual maps, and what it shows of the compressor's exponents where recordings are in different weather.
 
     Each recording has exponents of its own at first. A map shifted along the flow is others on warm days and on cold
-    ones; all are fitted anew about those that the recordings together show, or the map stays shifted.
+    ones; all are fitted anew about those that the recordings together show, or the map stays shifted. Whether inputs
+    moved between the rows stays as it was told at first: nothing of the compressor says it.
     """
-    def fitted(engine: EngineParameters, beliefs: CircumstanceSettings) -> Joint:
-        joint = Joint([part_of(item, engine, prior, map_rms, beliefs) for item in recordings], prior)
+    def fitted(
+        engine: EngineParameters, beliefs: CircumstanceSettings, between_rows: Sequence[bool | None]
+    ) -> Joint:
+        each = zip(recordings, between_rows, strict=True)
+        joint = Joint([part_of(item, engine, prior, map_rms, beliefs, moved) for item, moved in each], prior)
         joint.fit(ROUNDS, _NEAR)
         joint.whiten_anew()
         return joint
 
     beliefs = beside_exponents(default_search().circumstances, of_type)
-    joint = fitted(engine, beliefs)
+    joint = fitted(engine, beliefs, [None] * len(recordings))
     believed = {name: Exponent(getattr(engine, name), getattr(beliefs, name)) for name in EXPONENTS}
     shown = as_sure_as_the_weather(joint.exponents(believed), recordings, engine, beliefs)
     if shown:
         said = {name: item.value for name, item in shown.items()}
-        joint = fitted(engine.replace(**said), beside_exponents(beliefs, shown))
+        moved = [part.twin.between_rows for part in joint.parts]
+        joint = fitted(engine.replace(**said), beside_exponents(beliefs, shown), moved)
     return joint, {**of_type, **shown}

@@ -82,10 +82,10 @@ class Part:
 
     def __init__(
         self, recording: Recording, engine: EngineParameters, prior: Belief, map_rms: float,
-        beliefs: CircumstanceSettings | None = None,
+        beliefs: CircumstanceSettings | None = None, between_rows: bool | None = None,
     ) -> None:  # fmt: skip
         self.sha256, self.name = recording.sha256, str(recording.path or "recording")
-        self.twin = self._bound(recording, engine, map_rms, beliefs)
+        self.twin = self._bound(recording, engine, map_rms, beliefs, between_rows)
         self.conditions = Conditions(self.twin)
         self.at = [MEASURED.index(name) for name in self.twin.channels]
         self._scatter = ModelScatter()
@@ -99,9 +99,10 @@ class Part:
         self.left_out = np.zeros(self.twin.starts.size, dtype=bool)
 
     def _bound(
-        self, recording: Recording, engine: EngineParameters, map_rms: float, beliefs: CircumstanceSettings | None
-    ) -> LoggedTwin:
-        return recorded_twin(recording, engine, map_rms, beliefs)
+        self, recording: Recording, engine: EngineParameters, map_rms: float, beliefs: CircumstanceSettings | None,
+        between_rows: bool | None,
+    ) -> LoggedTwin:  # fmt: skip
+        return recorded_twin(recording, engine, map_rms, beliefs, between_rows)
 
     def _scatter_about(self, twin: LoggedTwin, lanes: Lanes) -> ModelScatter:
         return scatter_about(twin, lanes)

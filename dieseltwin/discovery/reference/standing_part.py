@@ -23,8 +23,9 @@ class StandingPart(Part):
     """As `Part`, of points. They have no rows that tell noise: it is what is usual, or what is left behind a fit."""
 
     def _bound(
-        self, recording: Recording, engine: EngineParameters, map_rms: float, beliefs: CircumstanceSettings | None
-    ) -> LoggedTwin:
+        self, recording: Recording, engine: EngineParameters, map_rms: float, beliefs: CircumstanceSettings | None,
+        between_rows: bool | None,
+    ) -> LoggedTwin:  # fmt: skip
         return StandingTwin(recording, engine, map_tolerance=map_rms, beliefs=beliefs)
 
     def _scatter_about(self, twin: LoggedTwin, lanes: Lanes) -> ModelScatter:
@@ -43,8 +44,8 @@ class StandingPart(Part):
 
 def part_of(
     recording: Recording, engine: EngineParameters, prior: Belief, map_rms: float,
-    beliefs: CircumstanceSettings | None = None,
+    beliefs: CircumstanceSettings | None = None, between_rows: bool | None = None,
 ) -> Part:  # fmt: skip
     """The part of a recording, or of settled points; arguments as of `Part`."""
     kind = StandingPart if recording.standing else Part
-    return kind(recording, engine, prior, map_rms, beliefs)
+    return kind(recording, engine, prior, map_rms, beliefs, between_rows)

@@ -21,12 +21,13 @@ from dieseltwin.discovery.reference.conditions import (
 )
 from dieseltwin.discovery.reference.evidence import Learned
 from dieseltwin.discovery.reference.joint import Joint
-from dieseltwin.discovery.reference.learn import learn_engine
+from dieseltwin.discovery.reference.learn import learn, learn_engine
 from dieseltwin.discovery.reference.part import Part
-from dieseltwin.engine import Inputs, simulate, we2011
+from dieseltwin.discovery.reference.standing_part import part_of
+from dieseltwin.engine import EngineParameters, Inputs, simulate, we2011
 from dieseltwin.learning.belief import MAPS_AT, prior_belief
 from dieseltwin.learning.files import LearnedEngine, load_learned, save_learned
-from dieseltwin.learning.weather import UNDECIDED, Exponent
+from dieseltwin.learning.weather import UNDECIDED, Exponent, of_own_weather
 from dieseltwin.recordings.reader import Recording, recording
 from dieseltwin.settings.defaults import default_search
 
@@ -148,7 +149,7 @@ def test_what_is_believed_of_an_exponent_counts_once_and_maps_that_are_open_wide
     assert (of_type.value, of_type.std) == pytest.approx((0.9, 0.04))  # what engines of the type say counts once, too
 
 
-def _pedal(seed: int, kicked: bool) -> Recording:
+def _pedal(seed: int, kicked: bool, engine: EngineParameters = we2011.PARAMETERS) -> Recording:
     """A minute in rows of 5 Hz; fuel and valves moved at once every two seconds, or calmly from row to row."""
     rng, time = np.random.default_rng(seed), np.arange(0.0, 60.0, 0.05 if kicked else 0.2)
     ends = ((60.0, 170.0), (5.0, 45.0), (40.0, 70.0))
@@ -159,11 +160,11 @@ def _pedal(seed: int, kicked: bool) -> Recording:
         held = np.arange(0.0, 66.0, 6.0)
         levels = [np.interp(time, held, rng.uniform(*pair, held.size)) for pair in ends]
     inputs = Inputs(time, 1300.0 + 200.0 * np.sin(time / 7.0), *levels)
-    frame = simulate(inputs, we2011.PARAMETERS, oxygen=False).iloc[:: 4 if kicked else 1]
+    frame = simulate(inputs, engine, oxygen=False).iloc[:: 4 if kicked else 1]
     frame = frame[["time_s", "n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct", *SENSORS]].reset_index(drop=True)
     for name in SENSORS:
         frame[name] += 0.004 * frame[name].mean() * rng.standard_normal(len(frame))
-    return recording(frame.assign(p_amb_pa=we2011.PARAMETERS.p_amb, t_amb_k=we2011.PARAMETERS.T_amb, t_im_k=300.6))
+    return recording(frame.assign(p_amb_pa=engine.p_amb, t_amb_k=engine.T_amb, t_im_k=300.6))
 
 
 def test_inputs_of_a_quick_pedal_may_have_moved_between_the_rows_of_a_reference():
@@ -171,3 +172,21 @@ def test_inputs_of_a_quick_pedal_may_have_moved_between_the_rows_of_a_reference(
     quick, calm = (recorded_twin(_pedal(1, kicked), we2011.PARAMETERS, MAP_RMS) for kicked in (True, False))
     assert quick.between_rows and not quick.opened
     assert not calm.between_rows and not calm.opened
+
+
+def test_whether_inputs_moved_between_the_rows_is_asked_once(monkeypatch: pytest.MonkeyPatch):
+    """All is fitted anew about the exponents that two weathers show, and a recording may not be another by then."""
+    engines = [we2011.PARAMETERS.replace(p_amb=p, T_amb=t) for p, t in ((101e3, 300.0), (93e3, 270.0))]
+    days = [_pedal(k, kicked, engine) for k, (kicked, engine) in enumerate(zip((True, False), engines, strict=True), 1)]
+    told: dict[str, list[tuple[bool | None, bool]]] = {day.sha256: [] for day in days}
+
+    def asked(item, engine, prior, map_rms, beliefs, between_rows):
+        part = part_of(item, engine, prior, map_rms, beliefs, between_rows)
+        told[item.sha256].append((between_rows, part.twin.between_rows))
+        return part
+
+    monkeypatch.setattr("dieseltwin.discovery.reference.learn.part_of", asked)
+    assert learn(days, of_own_weather(we2011.PARAMETERS, days), MAP_RMS).exponents
+    assert told == {days[0].sha256: [(None, True), (True, True)], days[1].sha256: [(None, False), (False, False)]}
+    calm = recorded_twin(days[1], engines[1], MAP_RMS, None, True)
+    assert calm.between_rows  # whatever the recording shows by itself
