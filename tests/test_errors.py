@@ -21,6 +21,13 @@ def test_message_has_its_four_parts() -> None:
     assert isinstance(error, DieselTwinError) and error.exit_code == 2
 
 
+def test_a_long_line_keeps_what_to_do_and_the_ends_of_the_place() -> None:
+    do = "name it in a channel map (--channels), or go without: --sensors p_im_pa,p_em_pa,omega_t_rad_s,w_egr_kg_s"
+    place = f"/{'folder/' * 12}drive.csv: column t_em_k"
+    said = InputError(place, f"none ({'column, ' * 9})", "this column", do).line()
+    assert len(said) <= 300 and said.endswith(do) and said.startswith("/folder/") and "column t_em_k: got none" in said
+
+
 def test_error_crosses_processes() -> None:
     error = InputError("a", "b", "c", "d")
     again = pickle.loads(pickle.dumps(error))
