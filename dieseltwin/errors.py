@@ -49,11 +49,11 @@ class InputError(DieselTwinError):
         super().__init__(" ".join(text.split()))
 
     def line(self, length: int = LONGEST_LINE) -> str:
-        """The message of at most `length` characters: what was got and allowed is cut first, then a long place."""
+        """The message of at most `length` characters: what was got and allowed is cut first, the place last."""
         parts = [one_line(part) for part in (self.what, self.got, self.allowed, self.do)]
         fixed = len("{}: got {}; allowed: {}; {}".format("", "", "", ""))
-        # what to do may hold an option to copy: a long path is cut before it
-        for place, least in ((2, 60), (1, 60), (2, 20), (0, 100), (1, 50), (3, 60), (1, 20), (0, 60)):
+        # what to do may hold an option to copy, of some hundred characters: that stays whole as long as it can
+        for place, least in ((2, 60), (1, 60), (3, 120), (2, 20), (1, 20), (3, 60), (0, 60)):
             excess = fixed + sum(map(len, parts)) - length
             if excess > 0:
                 parts[place] = shortened(parts[place], max(len(parts[place]) - excess, least))
