@@ -231,15 +231,18 @@ def files_to_publish(trained: Mapping[str, Artifact]) -> dict[str, Path]:
         files[f"{name}.pt"] = artifact.path / f"{kind}.pt"
         for written in (ERRORS, CURVES, SETTINGS):
             if (artifact.path / written).exists():
-                beside = Path(written)
-                files[f"{beside.stem}/{name}{beside.suffix}"] = artifact.path / written
+                files[_published_as(written, name)] = artifact.path / written
     return files
+
+
+def _published_as(written: str, name: str) -> str:
+    """Where in ``models/`` a file that a step writes stands for one part: errors.json -> errors/NAME.json."""
+    return f"{Path(written).stem}/{name}{Path(written).suffix}"
 
 
 def trained_with(models: Path, name: str) -> dict[str, Any]:
     """``pretrain`` of params.yaml with which one part of ``models/`` was trained: "operators", "bodies_paper"."""
     import json
 
-    path = models / Path(SETTINGS).stem / f"{name}{Path(SETTINGS).suffix}"
-    settings: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    settings: dict[str, Any] = json.loads((models / _published_as(SETTINGS, name)).read_text(encoding="utf-8"))
     return settings

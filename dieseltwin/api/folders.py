@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from dieseltwin.discovery.verdict.document import FILE_NAME as DISCREPANCY
 from dieseltwin.errors import InputError
 
-DISCREPANCY, IDENTIFICATION = "discrepancy.json", "identification.json"
+IDENTIFICATION = "identification.json"
 _SAVED_BY = {DISCREPANCY: "discover", IDENTIFICATION: "identify"}
 
 

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from dieseltwin.engine.model_constants import CONSTANT_NAMES, PUBLISHED, Constants, derived
 from dieseltwin.engine.terms import AnyTerm
 from dieseltwin.errors import InputError
-from dieseltwin.settings.strict import NO_YES_FOR_A_NUMBER, holds_boolean, unknown_name
+from dieseltwin.settings.strict import NO_YES_FOR_A_NUMBER, asked_of, holds_boolean, unknown_name
 
 HEALTH = ("A_egrmax", "A_vgtmax", "eta_sc", "h_tot")
 """The four health parameters, in the order of every array that holds them."""
@@ -155,7 +155,7 @@ def validated(values: Mapping[str, Any], source: str) -> EngineParameters:
 def _allowed(problem: Mapping[str, Any]) -> str:
     """What pydantic asks of a value, and of which quantity in which unit: a displacement in litres is out of range."""
     field = EngineParameters.model_fields.get(str(problem["loc"][0])) if problem["loc"] else None
-    asked = str(problem["msg"]).removeprefix("Value error, ").replace("Input should be ", "")
+    asked = asked_of(str(problem["msg"]))
     return f"{asked}; it is the {field.description}" if field is not None and field.description else asked
 
 

@@ -143,10 +143,15 @@ def validate(model: type[Model], values: Mapping[str, Any], where: str) -> Model
         raise unknown_name(f"{where}: {above}" if above else where, location[-1], known)
     if problem["type"] == "missing":
         raise InputError(place, "nothing", "a value is needed", "add this key")
-    allowed = problem["msg"].removeprefix("Value error, ").replace("Input should be ", "")
+    allowed = asked_of(problem["msg"])
     if not location:  # of the whole, whose text would leave no room for what is wrong
         raise InputError(where, "values that don't go together", allowed, "change one of them")
     raise InputError(place, repr(problem["input"]), allowed, "change this value")
+
+
+def asked_of(message: str) -> str:
+    """What a message of pydantic asks of a value, without the words around it."""
+    return message.removeprefix("Value error, ").replace("Input should be ", "")
 
 
 def _model_at(model: type[BaseModel], location: Sequence[int | str]) -> type[BaseModel] | None:
