@@ -191,7 +191,7 @@ def _learn_diesel(
                      "say it, so name all of them")  # fmt: skip
     prior, of_type = what_they_say(others.values(), of_own_weather(base, together), size) if others else (about, None)
     known, found = learn_engine(sources, base, size, before, settings, prior, of_type)
-    _check_misfits(known, settings.misfit_max)
+    _check_misfits(known, found.misfit_marks(settings))
     _check_told(known)
     least = settings.suspicious_gain
     suspected = [*_suspected(found, [*sources, *known.recordings]),
@@ -315,17 +315,21 @@ def corrected_maps(learned: LearnedEngine, about: np.ndarray | None = None) -> l
     return rows
 
 
-def _check_misfits(known: LearnedEngine, most: float) -> None:
+def _check_misfits(known: LearnedEngine, marks: Sequence[float]) -> None:
     """Refuse recordings that aren't explained with all maps corrected; the one that fits worst is named, of those of
     now before earlier ones. A recording of another engine bends the maps that it shares, and the others' misfit grows.
+
+    Args:
+        marks: largest misfit of each of the recordings, in their order.
     """
-    strange = [one for one in known.recordings if known.misfits[one.sha256] > most]
+    misfits = [known.misfits[one.sha256] for one in known.recordings]
+    strange = [item for item in zip(known.recordings, misfits, marks, strict=True) if item[1] > item[2]]
     if strange:
-        worst = max(strange, key=lambda one: (one.path is not None, known.misfits[one.sha256]))
+        worst, misfit, mark = max(strange, key=lambda item: (item[0].path is not None, item[1] / item[2]))
         raise InputError(
             str(worst.path or "recording"),
-            f"{known.misfits[worst.sha256]**0.5:.2f} times the noise is left with all maps corrected",
-            f"up to {most**0.5:.2f} for a healthy engine of this kind",
+            f"{misfit**0.5:.2f} times the noise is left with all maps corrected",
+            f"up to {mark**0.5:.2f} for a healthy engine of this kind",
             "check that it is this engine, that it was well, and that its columns and units are right",
         )  # fmt: skip
 

@@ -67,7 +67,7 @@ def test_the_recording_that_fits_worst_is_refused(tmp_path: Path) -> None:
     def refused(misfits: dict[str, float]) -> str | None:
         recordings = (earlier, *(item for _, item in named))
         try:
-            _check_misfits(replace(known, recordings=recordings, misfits=misfits), 1.6)
+            _check_misfits(replace(known, recordings=recordings, misfits=misfits), [1.6] * 4)
         except InputError as error:
             # misfits are squares; "times the noise" is their root, as in what `identify` and `discover` say
             left = misfits["earlier"] if error.what == "recording" else misfits[error.what.removesuffix(".csv")]

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.special import chdtri, fdtri
 
 from dieseltwin.discovery.reference.conditions import Weather
 from dieseltwin.discovery.reference.suspicion import Suspicion
@@ -13,6 +14,7 @@ from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.learning.belief import Belief, Further
 from dieseltwin.learning.faults import FaultBeside
 from dieseltwin.learning.weather import Exponent
+from dieseltwin.settings.discovery import LearnConfig
 
 
 @dataclass(frozen=True)
@@ -22,8 +24,10 @@ class Evidence:
     Attributes:
         information: (D, D) in inverse squared units of the coordinates, without any prior, about what all say.
         vector: (D,) information times the point at which the factor is largest.
-        misfit: squared whitened residual a reading at the estimate; 1 for an engine that the maps can describe.
+        misfit: squared whitened residual at the estimate over `freedom`; 1 for an engine that the maps can describe.
         readings: number of readings used.
+        freedom: of these, what is left beside all that the fit could follow them with.
+        noise_from: degrees of freedom from which its noise is known; infinite where rows tell it.
         left_out: share of the windows in which what is believed doesn't act linearly, which were not used.
     """
 
@@ -31,6 +35,8 @@ class Evidence:
     vector: Array
     misfit: float
     readings: int
+    freedom: float
+    noise_from: float
     left_out: float
 
 
@@ -59,6 +65,21 @@ class Learned:
     strange: tuple[Weather, ...] = ()
     faults: tuple[FaultBeside, ...] = ()
     exponents: Mapping[str, Exponent] = field(default_factory=dict)
+
+    def misfit_marks(self, settings: LearnConfig) -> tuple[float, ...]:
+        """Misfit of each recording, above which it is of another engine or of one that wasn't well.
+
+        Few readings leave more than many by chance alone, as chi-square over its degrees of freedom: of six, one
+        recording in seven leaves 1.6 times what is expected. It is F's distribution where few tell the noise, too.
+        """
+        level = settings.misfit_level / max(len(self.evidence), 1)  # of all recordings none may be refused by chance
+
+        def by_chance(item: Evidence) -> float:
+            if np.isinf(item.noise_from):
+                return float(chdtri(item.freedom, level)) / item.freedom
+            return float(fdtri(item.freedom, item.noise_from, 1.0 - level))
+
+        return tuple(max(settings.misfit_max, by_chance(item)) for item in self.evidence)
 
 
 def combined(prior: Belief, evidence: Sequence[Evidence]) -> Belief:

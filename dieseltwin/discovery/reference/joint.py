@@ -11,6 +11,7 @@ from scipy.linalg import cho_factor, cho_solve
 from dieseltwin.discovery.reference.conditions import Weather, clocks_of_all, exponents_together
 from dieseltwin.discovery.reference.evidence import Evidence
 from dieseltwin.discovery.reference.part import Linear, Part
+from dieseltwin.discovery.reference.standing_part import StandingPart, tell_noise
 from dieseltwin.discovery.reference.suspicion import Suspicion
 from dieseltwin.discovery.twins.interface import Array, Hypothesis
 from dieseltwin.learning.belief import HEALTH_AT, Belief
@@ -27,6 +28,7 @@ _STALLED = 0.5  # of the decrease predicted before, above which old sensitivitie
 _STUCK = 0.05  # promised decrease an unknown that counts as none where no step leads down: the posterior has kinks
 _SHRINKS = (1.0, 0.4, 0.16, 0.064)
 _DAMPINGS = (0.01, 0.1, 1.0)  # of an unknown's own information
+_LEAST_FREEDOM = 1.0  # readings; the fit follows fewer
 _LEAST_INFORMATION = 1e-6  # of an effect's information, that must be left when all coordinates are taken out
 
 
@@ -138,19 +140,22 @@ class Joint:
 
     def whiten_anew(self) -> None:
         """Estimate the noise of every recording from what the maps as corrected by now leave."""
+        self._tell_noise()
         for part, at, rest in self._left():
             part.whiten_anew(at, self.x, rest)
         self._rewhiten()
 
     def leave_crooked_out(self, rng: np.random.Generator) -> bool:
         """Leave windows out in which what is believed now doesn't act linearly; whether there are any."""
-        covariance: Array = np.asarray(np.linalg.inv(self._information()), dtype=np.float64)
+        covariance = self._covariance()
         found = [part.crooked(at, self.x, covariance, rng) for part, at in zip(self.parts, self.at, strict=True)]
-        for part, at, rest, windows in zip(self.parts, self.at, self.residuals, found, strict=True):
-            if windows.any():
-                part.leave_out(windows)
-                part.whiten_anew(at, self.x, rest)
         if any_out := any(windows.any() for windows in found):
+            self._tell_noise()
+            for part, at, rest, windows in zip(self.parts, self.at, self.residuals, found, strict=True):
+                if windows.any():
+                    part.leave_out(windows)
+                if windows.any() or isinstance(part, StandingPart):
+                    part.whiten_anew(at, self.x, rest)
             self._simulate()
             self._rewhiten()
         return any_out
@@ -158,13 +163,16 @@ class Joint:
     def evidence(self) -> tuple[Evidence, ...]:
         """What each recording says, linearised about what all say."""
         mean, across = self.prior.mean + self.scale * self.x, np.outer(self.scale, self.scale)
+        covariance = self._covariance()
         found = []
         for part, at, rest in zip(self.parts, self.at, self.projected, strict=True):
-            information = at.projected @ at.projected.T
-            information = 0.5 * (information + information.T) / across
+            own = at.projected @ at.projected.T
+            freedom = max(part.readings - float(np.sum(covariance * own)), _LEAST_FREEDOM)
+            information = 0.5 * (own + own.T) / across
             vector = information @ mean + (at.projected @ rest) / self.scale
-            misfit = float(rest @ rest) / max(part.readings, 1)
-            found.append(Evidence(information, vector, misfit, part.readings, float(part.left_out.mean())))
+            misfit = float(rest @ rest) / freedom
+            found.append(Evidence(information, vector, misfit, part.readings, freedom, part.noise_from,
+                                  float(part.left_out.mean())))  # fmt: skip
         return tuple(found)
 
     def suspicions(self, least_gain: float) -> tuple[Suspicion, ...]:
@@ -229,6 +237,15 @@ class Joint:
 
     def _project(self) -> None:
         self.projected = [at.rest(rest) for at, rest in zip(self.at, self.residuals, strict=True)]
+
+    def _tell_noise(self) -> None:
+        """Of settled points, which have none of their own."""
+        if any(isinstance(part, StandingPart) for part in self.parts):  # or nobody needs the covariance
+            tell_noise(self.parts, self.at, self.x, self.residuals, self._covariance())
+
+    def _covariance(self) -> Array:
+        """Of what is believed now (D, D), in standard deviations of the prior."""
+        return np.asarray(np.linalg.inv(self._information()), dtype=np.float64)
 
     def _information(self) -> Array:
         return np.asarray(self.precision + np.sum([at.projected @ at.projected.T for at in self.at], axis=0))

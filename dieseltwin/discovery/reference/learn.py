@@ -18,7 +18,7 @@ from dieseltwin.discovery.reference.evidence import Learned, combined
 from dieseltwin.discovery.reference.faults import main_faults
 from dieseltwin.discovery.reference.further import further_errors, gain_of
 from dieseltwin.discovery.reference.joint import ROUNDS, Joint
-from dieseltwin.discovery.reference.standing_part import part_of
+from dieseltwin.discovery.reference.standing_part import parts_of
 from dieseltwin.engine import EngineParameters
 from dieseltwin.learning.belief import NOTHING_FURTHER, Belief, prior_belief, with_further
 from dieseltwin.learning.domain import domain_of
@@ -138,8 +138,7 @@ def _begun(
     def fitted(
         engine: EngineParameters, beliefs: CircumstanceSettings, between_rows: Sequence[bool | None]
     ) -> Joint:
-        each = zip(recordings, between_rows, strict=True)
-        joint = Joint([part_of(item, engine, prior, map_rms, beliefs, moved) for item, moved in each], prior)
+        joint = Joint(parts_of(recordings, engine, prior, map_rms, beliefs, between_rows), prior)
         joint.fit(ROUNDS, _NEAR)
         joint.whiten_anew()
         return joint

@@ -23,7 +23,7 @@ from dieseltwin.discovery.reference.evidence import Learned
 from dieseltwin.discovery.reference.joint import Joint
 from dieseltwin.discovery.reference.learn import learn, learn_engine
 from dieseltwin.discovery.reference.part import Part
-from dieseltwin.discovery.reference.standing_part import part_of
+from dieseltwin.discovery.reference.standing_part import parts_of
 from dieseltwin.engine import EngineParameters, Inputs, simulate, we2011
 from dieseltwin.learning.belief import MAPS_AT, prior_belief
 from dieseltwin.learning.files import LearnedEngine, load_learned, save_learned
@@ -180,12 +180,13 @@ def test_whether_inputs_moved_between_the_rows_is_asked_once(monkeypatch: pytest
     days = [_pedal(k, kicked, engine) for k, (kicked, engine) in enumerate(zip((True, False), engines, strict=True), 1)]
     told: dict[str, list[tuple[bool | None, bool]]] = {day.sha256: [] for day in days}
 
-    def asked(item, engine, prior, map_rms, beliefs, between_rows):
-        part = part_of(item, engine, prior, map_rms, beliefs, between_rows)
-        told[item.sha256].append((between_rows, part.twin.between_rows))
-        return part
+    def asked(items, engine, prior, map_rms, beliefs, between_rows):
+        parts = parts_of(items, engine, prior, map_rms, beliefs, between_rows)
+        for item, moved, part in zip(items, between_rows, parts, strict=True):
+            told[item.sha256].append((moved, part.twin.between_rows))
+        return parts
 
-    monkeypatch.setattr("dieseltwin.discovery.reference.learn.part_of", asked)
+    monkeypatch.setattr("dieseltwin.discovery.reference.learn.parts_of", asked)
     assert learn(days, of_own_weather(we2011.PARAMETERS, days), MAP_RMS).exponents
     assert told == {days[0].sha256: [(None, True), (True, True)], days[1].sha256: [(None, False), (False, False)]}
     calm = recorded_twin(days[1], engines[1], MAP_RMS, None, True)
