@@ -19,7 +19,7 @@ from dieseltwin.engine.inputs import DEFAULT_STEP_S, INPUT_COLUMNS, STEP_TOLERAN
 from dieseltwin.engine.model_constants import CONSTANT_NAMES, DERIVED, PUBLISHED, derived
 from dieseltwin.engine.parameters import EngineParameters, constants, described
 from dieseltwin.engine.sensor_effects import slot_parts
-from dieseltwin.engine.simulate import SETTLE_S, SETTLE_START, quantities_frame
+from dieseltwin.engine.simulate import LOADED_START, SETTLE_S, SETTLE_START, STALLED, quantities_frame
 from dieseltwin.engine.terms import Term, effect_terms, law_terms
 from dieseltwin.errors import DieselTwinError
 from dieseltwin.symbols import BY_COLUMN
@@ -189,7 +189,8 @@ def _numbers(engine: EngineParameters, terms: TermsInC, laws: int, named: dict[s
     )}  # fmt: skip
     driver = {
         **kernel, "T_GAS_START": _compiled_extended.T_GAS_START, "LONGEST_STEP_S": DEFAULT_STEP_S,
-        "STEP_TOLERANCE": STEP_TOLERANCE, "SETTLE_S": SETTLE_S, **({"LAW_SETTLED": LAW_SETTLED} if laws else {}),
+        "STEP_TOLERANCE": STEP_TOLERANCE, "SETTLE_S": SETTLE_S, "STALLED": STALLED,
+        **({"LAW_SETTLED": LAW_SETTLED} if laws else {}),
         "LONGEST_DEAD_TIME_S": terms.longest_dead_time_s,
     }  # fmt: skip
     values = {name: number(value) for name, value in driver.items()} | named
@@ -198,11 +199,11 @@ def _numbers(engine: EngineParameters, terms: TermsInC, laws: int, named: dict[s
         "READINGS": max(1, len(terms.readings)), "SAMPLE_SWEEPS": _compiled.SAMPLE_SWEEPS + 1,
         "START_SWEEPS": _compiled.START_SWEEPS, "OXYGEN_REST_SWEEPS": _compiled.OXYGEN_REST_SWEEPS,
     }  # fmt: skip
-    start = ", ".join(number(value) for value in SETTLE_START)
+    light, loaded = (", ".join(number(value) for value in start) for start in (SETTLE_START, LOADED_START))
     return "\n".join([
         *(f"#define {name} {value}" for name, value in whole.items()), "",
         *(f"static const double {name} = {value};" for name, value in values.items()),
-        f"static const double SETTLE_START[3] = {{{start}}};\n",
+        f"static const double SETTLE_STARTS[2][3] = {{{{{light}}}, {{{loaded}}}}};\n",
     ])  # fmt: skip
 
 

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from dieseltwin.engine import Inputs, actuate, load_engine, parameter_batch, settle, simulate, simulate_states, we2011
 from dieseltwin.engine.inputs import steps_between
 from dieseltwin.engine.manifolds import X_OC
+from dieseltwin.engine.simulate import LOADED_START, SETTLE_START
 from dieseltwin.engine.terms import LawTerm, Term
 from dieseltwin.errors import InputError
 
@@ -130,6 +131,26 @@ def test_settled_state_is_at_rest() -> None:
         0, -1, :3
     ]
     np.testing.assert_allclose(later, start, rtol=1e-6)
+
+
+FLAT = we2011.PARAMETERS.replace(
+    c_f2=-1.077, R_c=0.04164, c_m=(1.721, 2769.0, 0.01), W_copt=0.2211, c_omega_psi=(5.473e-10, -8.613e-6, 0.7824)
+)
+"""Speed lines as they were calibrated to a made-up engine whose own are nearly flat."""
+
+
+@pytest.mark.parametrize("laws", [(), (LawTerm(point="W_c", coefficient=0.001, unit="-", factors=()),)])
+def test_of_two_rests_an_engine_is_at_that_with_boost(laws: tuple[LawTerm, ...]) -> None:
+    """From light load it stayed where the exhaust lacks the air that would give boost: 45 of 50 points by 40 %."""
+    at, engine = (1400.0, 130.0, 30.0, 45.0), FLAT.replace(terms=laws)
+    one = np.ones(3)
+    held = Inputs(np.array([0.0, 60.0, 120.0]), *(value * one for value in at))
+    columns = ["p_im_pa", "p_em_pa", "omega_t_rad_s"]
+    light, loaded = (simulate(held, engine, oxygen=False, initial=np.array(start))[columns].to_numpy()
+                     for start in (SETTLE_START, LOADED_START))  # fmt: skip
+    np.testing.assert_allclose(light[-1], light[-2], rtol=1e-6)  # both are rests
+    assert loaded[-1, 0] > 1.5 * light[-1, 0]
+    np.testing.assert_allclose(settle(*at, engine), loaded[-1], rtol=1e-5)
 
 
 def test_an_engine_under_laws_comes_to_rest_where_its_simulation_stays() -> None:

@@ -343,12 +343,20 @@ static void engine_start(Engine *e, double time_s, Inputs u, double p_im, double
     u = clipped(u);
     e->c = derived(e->c);
     if (isnan(p_im) || isnan(p_em) || isnan(omega_t)) {
-        engine_start(e, 0.0, u, SETTLE_START[0], SETTLE_START[1], SETTLE_START[2]);
-        e->at_start = 1;
-        engine_step(e, u, u, SETTLE_S);
-        p_im = isnan(p_im) ? e->p_im : p_im;
-        p_em = isnan(p_em) ? e->p_em : p_em;
-        omega_t = isnan(omega_t) ? e->omega_t : omega_t;
+        double rest[3] = {0.0, 0.0, 0.0};
+        for (int k = 0; k < 2; k++) { /* from light load, and from much: of a stalled compressor it is another */
+            engine_start(e, 0.0, u, SETTLE_STARTS[k][0], SETTLE_STARTS[k][1], SETTLE_STARTS[k][2]);
+            e->at_start = 1;
+            engine_step(e, u, u, SETTLE_S);
+            if (k == 0 || e->p_im > (1.0 + STALLED) * rest[0]) {
+                rest[0] = e->p_im;
+                rest[1] = e->p_em;
+                rest[2] = e->omega_t;
+            }
+        }
+        p_im = isnan(p_im) ? rest[0] : p_im;
+        p_em = isnan(p_em) ? rest[1] : p_em;
+        omega_t = isnan(omega_t) ? rest[2] : omega_t;
     }
     e->start_s = e->time_s = time_s;
     e->at_start = 0;
