@@ -7,14 +7,13 @@ temperature has such an error as well, over engine speed and injected quantity; 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dieseltwin.calibration.coefficients import Coefficient
-from dieseltwin.calibration.likelihood import FULL_ITERATIONS, estimate
+from dieseltwin.calibration.rest import nearest_rest, rest_of
 from dieseltwin.calibration.steady_model import MAP_MODE, SENSOR_ERROR, SteadyModel, law_variables
 from dieseltwin.engine.map_corrections import CORRECTED_POINTS, basis, basis_along, smooth_functions
 from dieseltwin.recordings.steady_points import STATES, SteadyPoints
@@ -96,12 +95,8 @@ def map_corrections(
         believed: how large the errors may be.
     """
     modes = [name for name in values if name.startswith(MAP_MODE) and name in points]
-    return _corrections_of(modes, points, model, values, believed) if modes else None
-
-
-def _corrections_of(
-    modes: Sequence[str], points: SteadyPoints, model: SteadyModel, values: Mapping[str, float], believed: PointSettings
-) -> NDArray[np.float64]:
+    if not modes:
+        return None
     along = basis_along(_variables(points, model, values))
     coefficients = np.zeros(len(along))
     for m, point in enumerate(CORRECTED_POINTS):
@@ -117,22 +112,21 @@ def corrections_left(
     points: SteadyPoints, model: SteadyModel, values: Mapping[str, float], believed: PointSettings,
     left: Mapping[str, float],
 ) -> NDArray[np.float64]:  # fmt: skip
-    """The same of points without a reference: smooth errors of the maps in what is left of their balances, everything
-    else as fitted. No fault is told by them; the repaired machine comes to rest nearer to the points with them.
+    """The same of points without a reference: smooth errors of the maps with which the machine comes to rest nearest to
+    the points, everything else as fitted. No fault is told by them.
 
     Args:
         points, model, values: as fitted.
         believed: how large the errors may be.
         left: relation that counts -> what the fit leaves of it beyond noise [-]: no map errs by more.
     """
-    there, errors = with_lasting_errors(points, model, values, believed)
-    modes = [
-        replace(c, std=min(left[c.submodel] / believed.map_beside_reference, 1.0)) for c in errors
-        if c.name.startswith(MAP_MODE) and c.name.split(":")[1] in CORRECTED_POINTS and c.submodel in left
-    ]  # fmt: skip
-    start = {**values, **dict.fromkeys((c.name for c in modes), 0.0)}
-    found = estimate(model, there, modes, start, iterations=FULL_ITERATIONS, rows=tuple(left), discrepancy=left)
-    return _corrections_of([c.name for c in modes], there, model, {**start, **found.values()}, believed)
+    maps = basis().maps
+    of_map = [min(left.get(SUBMODEL_OF[name], 0.0), believed.map_beside_reference) for name in CORRECTED_POINTS]
+    std = np.where(basis().usual, np.array(of_map)[maps], 0.0)
+    coefficients, which = np.zeros(maps.size), std > 0.0
+    if which.any():
+        coefficients[which] = nearest_rest(rest_of(points, model, values, which), std[which])
+    return coefficients
 
 
 def _smooth(m: int) -> NDArray[np.bool_]:
