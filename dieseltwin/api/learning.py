@@ -319,7 +319,7 @@ def _check_misfits(known: LearnedEngine, most: float) -> None:
     """Refuse recordings that aren't explained with all maps corrected; the one that fits worst is named, of those of
     now before earlier ones. A recording of another engine bends the maps that it shares, and the others' misfit grows.
     """
-    strange = [one for one in known.recordings if known.misfits[one.sha256] > most]
+    strange = [one for one in known.recordings if not known.misfits[one.sha256] <= most]  # NaN: no reading was reached
     if strange:
         worst = max(strange, key=lambda one: (one.path is not None, known.misfits[one.sha256]))
         raise InputError(

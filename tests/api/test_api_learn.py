@@ -79,6 +79,8 @@ def test_the_recording_that_fits_worst_is_refused(tmp_path: Path) -> None:
     assert refused({"earlier": 2.5, "0": 1.1, "1": 1.2, "2": 1.7}) == "2.csv"  # what came last made it so
     assert refused({"earlier": 2.5, "0": 1.1, "1": 1.2, "2": 1.1}) == "recording"
     assert refused({"earlier": 1.6, "0": 1.1, "1": 1.2, "2": 1.1}) is None
+    with pytest.raises(InputError, match="got nan times"):  # a simulation that runs away leaves no number
+        _check_misfits(replace(known, misfits={known.recordings[0].sha256: float("nan")}), 1.6)
 
 
 def test_recordings_that_tell_nothing_are_refused(tmp_path: Path) -> None:
