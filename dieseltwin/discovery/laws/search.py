@@ -88,6 +88,11 @@ class Law:
         """From when on it acts, in the time of the twin [s]; None: always."""
         return self.faults[0].since_s if self.faults else self.placed[0].form.since_s
 
+    def since(self, time_s: float) -> Law:
+        """The same law from another time on [s]."""
+        placed = (replace(term, form=replace(term.form, since_s=time_s)) for term in self.placed)
+        return replace(self, placed=tuple(placed), faults=tuple(replace(one, since_s=time_s) for one in self.faults))
+
     def on(self, twin: Twin) -> tuple[Twin, Fit]:
         """The twin with the law inside, and the fit of its parameters with the law's."""
         if self.faults:
