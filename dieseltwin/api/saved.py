@@ -13,6 +13,7 @@ from dieseltwin.errors import InputError
 from dieseltwin.least_squares import Z_90 as Z_90
 from dieseltwin.report import quantities
 from dieseltwin.report.discovery_words import magnitude_words, site_words
+from dieseltwin.report.quantities import with_symbols as with_symbols
 from dieseltwin.sealed import read_json
 
 _EMPTY = "–"
@@ -93,11 +94,6 @@ class Difference:
     change: str
     sure: str
     beyond: bool
-
-
-def marked(text: str) -> str:
-    """HTML of a sentence, the quantities in it ("h_tot") set as symbols."""
-    return quantities.with_symbols(text)
 
 
 BEYOND = 3.0  # standard deviations from which two estimates are said to differ

@@ -15,7 +15,7 @@ from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, RedirectResponse
 
-from dieseltwin.api.saved import Saved, marked, saved
+from dieseltwin.api.saved import Saved, saved, with_symbols
 from dieseltwin.app.kept import (
     ABOUT,
     ACTIVE,
@@ -84,7 +84,7 @@ class Desk:
             lstrip_blocks=True,
         )  # fmt: skip
         self.environment.filters |= {"moment": moment, "size": size_words, "duration": duration_words,
-                                     "marked": marked_words}  # fmt: skip
+                                     "marked": with_symbols}  # fmt: skip
         self.environment.globals |= {"version": __version__, "largest_mb": workplace.limits.upload_mb,
                                      "kind_words": KIND_WORDS}  # fmt: skip
 
@@ -221,11 +221,6 @@ def moment(text: str | None) -> Markup | str:
     if text is None:
         return ""
     return datetime.fromisoformat(text).astimezone().strftime("%d %b %Y, %H:%M")
-
-
-def marked_words(text: str) -> Markup:
-    """A sentence with its quantities set as symbols; everything else in it is text."""
-    return Markup(marked(text))
 
 
 def size_words(count: int) -> str:

@@ -7,8 +7,6 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from markupsafe import Markup
-
 from dieseltwin.discovery.verdict.curves import Discovery
 from dieseltwin.discovery.verdict.document import Discrepancy
 from dieseltwin.report import discovery_figures, discovery_residuals, findings, over_recordings, quantities
@@ -76,8 +74,8 @@ def _page(found: Discovery, drawn: Drawn) -> Page:
         title=findings.heading(document),
         about=f"Recording: {Path(recording.path).name} · {recording.duration_s:.0f} s · {len(recording.channels)} "
         "sensors",
-        headline=Markup(quantities.with_symbols(sentence(document))), alarm=document.mismatch,
-        caution=Markup(quantities.with_symbols(caution(document))),
+        headline=quantities.with_symbols(sentence(document)), alarm=document.mismatch,
+        caution=quantities.with_symbols(caution(document)),
         findings=findings.findings(document), cards=law_cards(document),
         tables=(findings.places(document), findings.levels(document, "health parameter"), findings.fit(document)),
         sections=discovery_sections(found, drawn), provenance=findings.provenance(document),

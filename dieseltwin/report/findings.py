@@ -66,7 +66,7 @@ def findings(
         if effect.equivalent_names and effect.split_by:
             equivalent += f"; {effect.split_by} would settle it"
         told = (when if timed is True or effect.name in timed else always,) if timed else ()
-        times = (Markup(quantities.with_symbols(text)) for text in told)
+        times = map(quantities.with_symbols, told)
         rows.append((effect.name, size, interval, quantities.probability(effect.probability),
                      _share(document, effect, shares), *times, equivalent))  # fmt: skip
     sentences = tuple(range(5, len(heads)))  # when, and what it can't be told from

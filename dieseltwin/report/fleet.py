@@ -163,7 +163,7 @@ def page(engines: Sequence[OfEngine], said: str, links: Mapping[str, str]) -> Pa
     return Page(
         title="Engines with an alarm" if alarmed else "No engine has an alarm",
         about=f"{counted(len(engines), 'engine')} · {sum(len(one.entries) for one in engines)} recordings",
-        headline=Markup(quantities.with_symbols(said)), alarm=any(one.state in (ALARM, LOOK) for one in engines),
+        headline=quantities.with_symbols(said), alarm=any(one.state in (ALARM, LOOK) for one in engines),
         sections=(
             Section("engines", "Engines", words="Health is the change since each engine's reference by its last "
                     "recording, ± one standard deviation.",

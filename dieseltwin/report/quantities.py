@@ -140,11 +140,11 @@ _CODE = re.compile(r"`([^`]*)`")
 _NAMES = re.compile(r"\b(" + "|".join(sorted(map(re.escape, SYMBOLS), key=len, reverse=True)) + r")\b")
 
 
-def with_symbols(text: str) -> str:
+def with_symbols(text: str) -> Markup:
     """HTML of a plain sentence: the nomenclature's names (``h_tot``) as symbols, what backticks enclose as code."""
     plain = _CODE.split(text)  # every second piece stood between backticks
     pieces = (f"<code>{escape(p)}</code>" if i % 2 else _symbols_in(escape(p)) for i, p in enumerate(plain))
-    return "".join(pieces)
+    return Markup("".join(pieces))
 
 
 def _symbols_in(html: str) -> str:
