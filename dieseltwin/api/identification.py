@@ -27,7 +27,7 @@ from dieseltwin.identification.identify import identify_segments
 from dieseltwin.identification.problem import NoiseLevels, SegmentProblem, problems_from_recording
 from dieseltwin.identification.result import Identification, curves_table
 from dieseltwin.learning.files import LearnedEngine, learned_engine_of, untold
-from dieseltwin.notes import Note, doubts_among, of_reading, warnings_of
+from dieseltwin.notes import OF_THE_FIT, Note, doubts_among, of_reading, warnings_of
 from dieseltwin.recordings.channel_checks import channel_notes
 from dieseltwin.recordings.channels import SENSORS, refuse_missing
 from dieseltwin.recordings.circumstances import with_charge
@@ -51,7 +51,6 @@ if TYPE_CHECKING:
 SEGMENT_RANGE_S = (10.0, 3600.0)
 MOST_RUNS = 10_000
 MOST_ROWS = 1_500_000  # 42 hours at 10 Hz; the bands of the states take a kilobyte a row
-MISFIT_CODES = ("misfit", "residuals")  # of the fit's test: they stand before the numbers
 OPTIONAL_RESULTS = ("curves.parquet", "report.html", "report.pdf", "figures")  # of another method: they mustn't stay
 
 
@@ -171,7 +170,7 @@ class Identified(Result):
 
     @property
     def _misfits(self) -> list[Note]:
-        return [note for note in doubts_among(self.notes) if note.code in MISFIT_CODES]
+        return [note for note in doubts_among(self.notes) if note.code in OF_THE_FIT]
 
     def lines(self) -> list[str]:
         """That the twin doesn't fit, where it doesn't; the table as text, and the other notes."""

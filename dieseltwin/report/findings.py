@@ -20,7 +20,8 @@ from dieseltwin.report.discovery_words import (
     over_recordings_words,
     site_words,
 )
-from dieseltwin.report.page import EMPTY, Table
+from dieseltwin.report.page import Table
+from dieseltwin.report.quantities import EMPTY
 from dieseltwin.report.visible_words import bias_words
 
 Unit = Callable[[str, str | None], tuple[str, float]]

@@ -18,7 +18,8 @@ from dieseltwin.notes import counted
 from dieseltwin.report import quantities, style
 from dieseltwin.report.discovery_words import magnitude_words
 from dieseltwin.report.history import DAY, by_itself
-from dieseltwin.report.page import EMPTY, Page, Section, Table
+from dieseltwin.report.page import Page, Section, Table
+from dieseltwin.report.quantities import EMPTY
 
 ALARM, LOOK, GONE, WELL, NOTHING = (
     "alarm", "last recording shows something", "was an alarm, is gone", "no change but wear", "no recording",

@@ -17,7 +17,6 @@ from dieseltwin.report.interactive import Series
 from dieseltwin.report.law_cards import LawCard
 from dieseltwin.report.style import ReportFigure
 
-EMPTY = "–"
 COARSER_DPI = (85, 60)
 DIESEL = "Wahlström and Eriksson (2011), with the effects that `dieseltwin effects` lists"
 
