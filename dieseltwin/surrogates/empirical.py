@@ -175,7 +175,6 @@ class EmpiricalMaps:
         backend: str = "torch",
         member: int | Sequence[int] | None = None,
         *,
-        generator: torch.Generator | None = None,
         dtype: torch.dtype = torch.float64,
         slopes: bool = False,
     ) -> dict[str, Callable[..., Any]]:
@@ -184,7 +183,6 @@ class EmpiricalMaps:
         Args:
             backend: "torch" or "numpy".
             member: see `layers`. With several, the arguments are (..., R, n) or broadcast to that.
-            generator: torch only: a fresh dropout mask for every point and call, as printed; leaves `member` alone.
             dtype: torch only: of weights and results.
             slopes: torch only: compute first derivatives with the values (`map_layers.ClosedForm`), which is quicker
                 where they are wanted; without it any order is right.
@@ -192,7 +190,7 @@ class EmpiricalMaps:
         if backend not in ("torch", "numpy"):
             raise unknown_name("backend", backend, ["torch", "numpy"])
         make = self._torch_map if backend == "torch" else self._numpy_map
-        return {name: make(name, member, generator, dtype, slopes) for name in MAPS}
+        return {name: make(name, member, dtype, slopes) for name in MAPS}
 
     def _numpy_map(self, name: str, member: Any, *_: Any) -> Callable[..., np.ndarray]:
         form, item = bound_forms(self.kind, "numpy")[name], self.maps[name]
@@ -210,12 +208,10 @@ class EmpiricalMaps:
         evaluate.__name__ = name
         return evaluate
 
-    def _torch_map(
-        self, name: str, member: Any, generator: torch.Generator | None, dtype: torch.dtype, slopes: bool
-    ) -> Callable[..., Tensor]:
+    def _torch_map(self, name: str, member: Any, dtype: torch.dtype, slopes: bool) -> Callable[..., Tensor]:
         form, item = bound_forms(self.kind, "torch")[name], self.maps[name]
         layers = self.layers(name, member, dtype)
-        activation, dropout, hidden = item.network.activation, item.network.dropout, item.network.hidden
+        activation = item.network.activation
         limits = [
             (float(a) if np.isfinite(a) else None, float(b) if np.isfinite(b) else None)
             for a, b in zip(item.low, item.high, strict=True)
@@ -230,13 +226,7 @@ class EmpiricalMaps:
             ]
             x = torch.stack(inputs, dim=-1)
             lone = x.ndim == 1
-            x = x[None] if lone else x
-            masks: list[Tensor] = []
-            if generator is not None and dropout > 0.0:
-                keep = 1.0 - dropout
-                draws = [torch.rand((*x.shape[:-1], h), generator=generator, dtype=dtype) for h in hidden]
-                masks = [(u < keep).to(dtype) / keep for u in draws]
-            z = run(x, layers, activation, masks)
+            z = run(x[None] if lone else x, layers, activation)
             return form.output(z[0] if lone else z, tuple(inputs))
 
         evaluate.__name__ = name
