@@ -252,13 +252,13 @@ class EmpiricalMaps:
         """Errors of the nominal maps as found after training: one row per map and recording, see `error_table`."""
         return pd.DataFrame(list(self.error_rows), columns=list(ERROR_COLUMNS))
 
-    def error_table(self, cases: Mapping[str, pd.DataFrame], *, uncertainty: bool = False) -> pd.DataFrame:
+    def error_table(self, cases: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
         """Errors of the nominal maps on clean recordings.
 
         Columns: kind, map, recording, n, `l2_rel` (relative L2 error), `mean_rel` (mean of |error| / |label|, labels
         below a hundredth of their mean counted as that), `bias_rel` (mean error / mean label), `max_rel` (largest error
-        / mean label), and with `uncertainty` `std_rel` (rms of the map's own standard deviation / mean label) and
-        `z_rms` (rms of error / own standard deviation: 1 is calibrated).
+        / mean label), `std_rel` (rms of the map's own standard deviation / mean label) and `z_rms` (rms of error / own
+        standard deviation: 1 is calibrated).
         """
         rows = []
         for recording, frame in cases.items():
@@ -266,28 +266,24 @@ class EmpiricalMaps:
             for name in MAPS:
                 rows.append(
                     {"kind": self.kind, "map": name, "recording": recording}
-                    | self._errors_of(name, arguments[name], frame[LABELS[name]].to_numpy(), uncertainty)
+                    | self._errors_of(name, arguments[name], frame[LABELS[name]].to_numpy())
                 )
         return pd.DataFrame(rows)
 
-    def _errors_of(
-        self, name: str, arguments: tuple[np.ndarray, ...], label: np.ndarray, uncertainty: bool
-    ) -> dict[str, Any]:
+    def _errors_of(self, name: str, arguments: tuple[np.ndarray, ...], label: np.ndarray) -> dict[str, Any]:
         error = self.evaluate(name, *arguments) - label
         size = float(np.mean(np.abs(label)))
-        row: dict[str, Any] = {
+        std = self.uncertainty(name, *arguments)
+        known = std > STD_SEEN * size  # at a cap or floor all members agree, and rightly so
+        return {
             "n": label.size,
             "l2_rel": float(np.linalg.norm(error) / np.linalg.norm(label)),
             "mean_rel": float(np.mean(np.abs(error) / np.maximum(np.abs(label), RELATIVE_FLOOR * size))),
             "bias_rel": float(np.mean(error) / np.mean(label)),
             "max_rel": float(np.max(np.abs(error)) / size),
+            "std_rel": float(np.sqrt(np.mean(std**2)) / size),
+            "z_rms": float(np.sqrt(np.mean((error[known] / std[known]) ** 2))) if known.any() else 0.0,
         }
-        if uncertainty:
-            std = self.uncertainty(name, *arguments)
-            known = std > STD_SEEN * size  # at a cap or floor all members agree, and rightly so
-            row["std_rel"] = float(np.sqrt(np.mean(std**2)) / size)
-            row["z_rms"] = float(np.sqrt(np.mean((error[known] / std[known]) ** 2))) if known.any() else 0.0
-        return row
 
     # --- files -------------------------------------------------------------------------------------------------
 

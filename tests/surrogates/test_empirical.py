@@ -198,7 +198,8 @@ def test_dropped_neurons_are_the_masks_of_the_network(trained):
     masks = item.network.sample_masks((1,), generator=generator)
     p_im, n_e = np.array([1.2e5, 2.0e5]), np.array([900.0, 1500.0])
     x = torch.as_tensor((np.stack([p_im, n_e], axis=-1) - item.centre) / item.scale, dtype=torch.float32)
-    *inner, last = [(w[0].detach(), b[0].detach()) for w, b in zip(item.network.weights, item.network.biases, strict=True)]
+    parts = zip(item.network.weights, item.network.biases, strict=True)
+    *inner, last = [(w[0].detach(), b[0].detach()) for w, b in parts]
     for (weight, bias), mask in zip(inner, masks, strict=True):
         x = ACTIVATIONS[item.network.activation](x @ weight + bias) * mask
     expected = (x @ last[0] + last[1])[..., 0].numpy()
