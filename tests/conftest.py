@@ -15,6 +15,8 @@ from hypothesis import HealthCheck, settings
 from xdist.scheduler import LoadScopeScheduling
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from dieseltwin.report.results import Results
     from dieseltwin.report.style import ReportFigure
 
@@ -74,6 +76,14 @@ def no_pictures() -> Iterator[None]:
 def project_root() -> Path:
     """The checkout that holds pyproject.toml and params.yaml."""
     return ROOT
+
+
+@pytest.fixture(scope="module")
+def trace() -> pd.DataFrame:
+    """Five minutes of driving of `we2011.FIELD` at 5 Hz, every quantity without noise."""
+    import pandas as pd
+
+    return pd.read_csv(ROOT / "tests" / "reference" / "field_random_300s.csv")
 
 
 @pytest.fixture(scope="session")

@@ -33,8 +33,8 @@ def python(code: str) -> str:
 
 
 @pytest.fixture(scope="module")
-def trace(project_root: Path) -> pd.DataFrame:
-    return pd.read_csv(project_root / "tests" / "reference" / "field_random_300s.csv").iloc[:101]
+def trace(trace: pd.DataFrame) -> pd.DataFrame:
+    return trace.iloc[:101]
 
 
 # --- the package

@@ -43,11 +43,6 @@ def run(capfd: pytest.CaptureFixture[str]) -> Run:
 
 
 @pytest.fixture(scope="module")
-def trace(project_root: Path) -> pd.DataFrame:
-    return pd.read_csv(project_root / "tests" / "reference" / "field_random_300s.csv")
-
-
-@pytest.fixture(scope="module")
 def field_engine(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The engine that the trace was made with."""
     path = tmp_path_factory.mktemp("engine") / "field.yaml"

@@ -29,9 +29,9 @@ NEEDED = [
 
 
 @pytest.fixture(scope="module")
-def drive() -> pd.DataFrame:
+def drive(trace: pd.DataFrame) -> pd.DataFrame:
     """Five minutes of real-looking driving at 5 Hz: the required columns and w_c."""
-    return pd.read_csv(REFERENCE / "field_random_300s.csv")[[*NEEDED, "w_c_kg_s"]]
+    return trace[[*NEEDED, "w_c_kg_s"]]
 
 
 def plausible(n: int, seed: int, rate_hz: float, jitter: float) -> pd.DataFrame:
