@@ -221,9 +221,7 @@ async def ask(request: Request, key: str) -> Response:
 def map_file(request: Request, key: str) -> Response:
     desk = desk_of(request)
     path = desk.store.recording_folder(desk.recording(key).id) / MAP
-    if not path.is_file():
-        return desk.refused(404, "There is no channel map yet.", f"/recordings/{key}")
-    return FileResponse(path, media_type="application/yaml", filename="map.yaml")
+    return desk.download(path, "map.yaml", "There is no channel map yet.", f"/recordings/{key}", "application/yaml")
 
 
 @router.get("/recordings/{key}/overview.png")
