@@ -218,10 +218,6 @@ class ParameterBatch:
         """Number of parameter sets B."""
         return int(self.values.shape[1])
 
-    def column(self, name: str) -> np.ndarray:
-        """One constant of all sets, shape (B,)."""
-        return self.values[CONSTANT_NAMES.index(name)]
-
     def constants(self) -> Constants:
         """The constants as arrays of shape (B, 1), to broadcast over time."""
         return Constants(*(row[:, None] for row in self.values))

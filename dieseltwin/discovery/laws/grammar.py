@@ -246,11 +246,6 @@ class Form:
     since_s: float | None = None
 
     @property
-    def variables(self) -> tuple[str, ...]:
-        """Names of all variables, sorted."""
-        return tuple(sorted({name for factor in self.factors for name in factor.variables}))
-
-    @property
     def operator(self) -> bool:
         """Holds an operator with memory."""
         return any(factor.operator for factor in self.factors)

@@ -23,15 +23,11 @@ class Evidence:
         information: (D, D) in inverse squared units of the coordinates, without any prior, about what all say.
         vector: (D,) information times the point at which the factor is largest.
         misfit: squared whitened residual a reading at the estimate; 1 for an engine that the maps can describe.
-        readings: number of readings used.
-        left_out: share of the windows in which what is believed doesn't act linearly, which were not used.
     """
 
     information: Array
     vector: Array
     misfit: float
-    readings: int
-    left_out: float
 
 
 @dataclass(frozen=True)

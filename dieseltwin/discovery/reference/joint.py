@@ -164,7 +164,7 @@ class Joint:
             information = 0.5 * (information + information.T) / across
             vector = information @ mean + (at.projected @ rest) / self.scale
             misfit = float(rest @ rest) / max(part.readings, 1)
-            found.append(Evidence(information, vector, misfit, part.readings, float(part.left_out.mean())))
+            found.append(Evidence(information, vector, misfit))
         return tuple(found)
 
     def suspicions(self, least_gain: float) -> tuple[Suspicion, ...]:
