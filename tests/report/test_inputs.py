@@ -56,9 +56,7 @@ def made_up(trace: pd.DataFrame, truth: Mapping[str, float] | None) -> Identific
                 converged=np.ones(RUNS, dtype=bool), seconds_per_run=0.05, method="few-shot-adam", curves=curves,
             )
         )  # fmt: skip
-    return Identification(
-        "few-shot-adam", tuple(segments), tuple(problems), seed=1, seconds=0.6, threshold=0.25
-    )
+    return Identification("few-shot-adam", tuple(segments), tuple(problems), seconds=0.6, threshold=0.25)
 
 
 @pytest.fixture(scope="module")
