@@ -128,7 +128,7 @@ def c_source(engine: EngineParameters, name: str, command_line: bool = True) -> 
         _heading(engine, name),
         "".join(_struct(kind, fields) for kind, fields in structs.items()),
         source_text("primitives.c"),
-        _numbers(engine, terms, len(laws), translation.constants),
+        _numbers(terms, len(laws), translation.constants),
         *translation.texts,
         of_constants,
         _inputs(engine),
@@ -183,7 +183,7 @@ def _struct(kind: str, fields: tuple[str, ...]) -> str:
     return "typedef struct {\n" + "\n".join(lines) + f"\n}} {kind};\n\n"
 
 
-def _numbers(engine: EngineParameters, terms: TermsInC, laws: int, named: dict[str, str]) -> str:
+def _numbers(terms: TermsInC, laws: int, named: dict[str, str]) -> str:
     kernel = {name: getattr(_compiled, name) for name in (
         "P_IM_LOW", "P_IM_HIGH", "P_EM_LOW", "P_EM_HIGH", "OMEGA_LOW", "OMEGA_HIGH", "X_R_START", "T_1_START", "X_OC",
     )}  # fmt: skip

@@ -13,8 +13,9 @@ from dieseltwin.engine.model_constants import CONSTANT_NAMES, PUBLISHED, Constan
 from dieseltwin.engine.terms import AnyTerm
 from dieseltwin.errors import InputError
 from dieseltwin.settings.strict import NO_YES_FOR_A_NUMBER, asked_of, holds_boolean, unknown_name
+from dieseltwin.symbols import HEALTH_NAMES
 
-HEALTH = ("A_egrmax", "A_vgtmax", "eta_sc", "h_tot")
+HEALTH = HEALTH_NAMES
 """The four health parameters, in the order of every array that holds them."""
 
 HEALTH_UNITS = {"A_egrmax": "m2", "A_vgtmax": "m2", "eta_sc": "-", "h_tot": "W/(m2 K)"}
