@@ -390,8 +390,7 @@ def _usable(problems: list[SegmentProblem], source: Recording) -> tuple[list[Seg
 
 
 def _notes(source: Recording, parameters: EngineParameters, known: LearnedEngine | None) -> list[Note]:
-    ranges = {"n_e_rpm": parameters.n_e_range, "u_delta_mg": parameters.u_delta_range,
-              "u_egr_pct": parameters.u_egr_range, "u_vgt_pct": parameters.u_vgt_range}  # fmt: skip
+    ranges = parameters.input_ranges
     out = [Note(f"{count} of {len(source.time_s)} rows of {name} are outside the engine's range "
                 f"{ranges[name][0]:g} to {ranges[name][1]:g}", "out_of_range", (name,))
            for name, count in rows_out_of_range(source.columns, ranges).items()]  # fmt: skip

@@ -228,10 +228,8 @@ def _inputs(engine: EngineParameters) -> str:
     columns = input_columns(engine)
     names = ", ".join(f'"{name}"' for name in columns)
     reads = ", ".join(f"values[{j}]" for j in range(len(columns)))
-    limits = {"n_e_rpm": engine.n_e_range, "u_delta_mg": engine.u_delta_range, "u_egr_pct": engine.u_egr_range,
-              "u_vgt_pct": engine.u_vgt_range}  # fmt: skip
     clips = "\n".join(f"    u.{c} = minimum(maximum(u.{c}, {number(low)}), {number(high)});"
-                      for c, (low, high) in limits.items())  # fmt: skip
+                      for c, (low, high) in engine.input_ranges.items())  # fmt: skip
     return (
         f"#define N_INPUTS {len(columns)}\n#define INPUT_NAMES {names}\n\n"
         f"static inline Inputs inputs_of(const double *values)\n{{\n    return (Inputs){{{reads}}};\n}}\n\n"

@@ -13,7 +13,7 @@ from dieseltwin.engine.model_constants import CONSTANT_NAMES, PUBLISHED, Constan
 from dieseltwin.engine.terms import AnyTerm
 from dieseltwin.errors import InputError
 from dieseltwin.settings.strict import NO_YES_FOR_A_NUMBER, asked_of, holds_boolean, unknown_name
-from dieseltwin.symbols import HEALTH_NAMES
+from dieseltwin.symbols import HEALTH_NAMES, INPUT_COLUMNS
 
 HEALTH = HEALTH_NAMES
 """The four health parameters, in the order of every array that holds them."""
@@ -116,6 +116,12 @@ class EngineParameters(BaseModel):
         if any(holds_boolean(entry) for entry in entries):
             raise ValueError(NO_YES_FOR_A_NUMBER)
         return value
+
+    @property
+    def input_ranges(self) -> dict[str, tuple[float, float]]:
+        """Valid range of each input's column [rpm, mg/cycle, %, %]."""
+        ranges = (self.n_e_range, self.u_delta_range, self.u_egr_range, self.u_vgt_range)
+        return dict(zip(INPUT_COLUMNS, ranges, strict=True))
 
     @field_validator("n_e_range", "u_delta_range", "u_egr_range", "u_vgt_range")
     @classmethod
