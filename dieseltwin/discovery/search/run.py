@@ -8,7 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 
-from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, fit_fully
+from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation
 from dieseltwin.discovery.likelihood.learned import belief_of
 from dieseltwin.discovery.likelihood.refit import nearer, refit_all
 from dieseltwin.discovery.likelihood.score import best_of_each
@@ -300,7 +300,7 @@ def _unstuck(found: Search, fit: Fit) -> Fit:
     """
     if fit.converged or found.gain(fit) > 0.0:
         return fit
-    return fit_fully(found.twin, found.whitening, fit, rounds=_UNSTUCK_ROUNDS, frozen=found.null).fit
+    return found.refitted(fit, _UNSTUCK_ROUNDS)
 
 
 def _nameless(found: Search) -> None:

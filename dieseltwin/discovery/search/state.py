@@ -11,7 +11,7 @@ from scipy.special import logsumexp
 
 from dieseltwin.discovery.laws.features import Structure
 from dieseltwin.discovery.laws.search import Law
-from dieseltwin.discovery.likelihood.fit import Fit, Linearisation
+from dieseltwin.discovery.likelihood.fit import Fit, Linearisation, fit_fully
 from dieseltwin.discovery.likelihood.metric import ModelScatter, Whitening
 from dieseltwin.discovery.likelihood.nuisance import Nuisance
 from dieseltwin.discovery.likelihood.score import Chance, Scored
@@ -119,6 +119,10 @@ class Search:
         if self.kind == "law":
             return 0.0 if self.law is None else self.law.gain
         return 0.0 if self.best is None else max(self.gain(fit) for fit in self._chosen())
+
+    def refitted(self, fit: Fit, rounds: int) -> Fit:
+        """A fit carried on with sensitivities of every round, in the metric of the health-only fit."""
+        return fit_fully(self.twin, self.whitening, fit, rounds=rounds, frozen=self.null).fit
 
     def fits_of(self, kind: str) -> list[Fit]:
         """Fits of all explanations of a kind."""
