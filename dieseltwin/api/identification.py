@@ -91,7 +91,7 @@ class Identified(Result):
         found: estimates of every segment and run.
         problems: the segments.
         notes: what was left out, and what is doubtful; one sentence each.
-        provenance: hashes of the settings and of the recording.
+        provenance: seed, hashes of the settings and of the recording, its name.
         tolerant: health fitted beside tolerances of maps and sensors, which no interval of `found` contains; empty
             where that fit wasn't made or doesn't hold (see `fit_test.Examined`).
     """
@@ -99,7 +99,7 @@ class Identified(Result):
     found: Identification
     problems: tuple[SegmentProblem, ...]
     notes: tuple[str, ...]
-    provenance: Mapping[str, str]
+    provenance: Mapping[str, str | int]
     tolerant: Mapping[str, Tolerant] = field(default_factory=dict)
 
     @property
@@ -144,7 +144,7 @@ class Identified(Result):
         """identification.json, runtime.json, states.parquet, report.html, figures/; curves.parquet if any."""
         keep_apart(out, IDENTIFICATION)
         with atomic_folder(out, owned=OPTIONAL_RESULTS) as folder:
-            name = self.provenance.get("recording", "")
+            name = str(self.provenance.get("recording", ""))
             states = self.found.states  # worked out once, before the figures want them in a process of their own
             told = {**self.document, "warnings": self.warnings}
             drawn_beside = begin_beside(_write_page, self.found, self.problems, told, folder, name)
@@ -251,8 +251,10 @@ class IdentificationQuestion:
                 cut = problems_of(fit.recording, fit.engine, self.settings, self.segment_s, self.sensors)
                 problems = tuple(_usable(cut, fit.recording)[0])
         found = identify_segments(problems, self.method, self.runs, self.seed, config=config, **self.networks)
-        provenance = {"params_sha256": self.settings.sha256, "recording_sha256": self.recording.sha256,
-                      **({"recording": self.recording_name} if self.recording_name else {})}  # fmt: skip
+        provenance: dict[str, str | int] = {
+            "params_sha256": self.settings.sha256, "recording_sha256": self.recording.sha256, "seed": self.seed,
+            **({"recording": self.recording_name} if self.recording_name else {}),
+        }  # fmt: skip
         return Identified(found, problems, (*doubts, *self.notes), provenance, tolerant)
 
 

@@ -279,6 +279,7 @@ def test_states_are_a_table_over_all_samples(identified: Path, trace: pd.DataFra
 def test_runtime_holds_what_may_differ(identified: Path) -> None:
     runtime = json.loads((identified / "runtime.json").read_text())
     assert {"seconds_per_run", "versions", "params_sha256", "recording_sha256"} <= set(runtime)
+    assert runtime["seed"] == 3
 
 
 @pytest.mark.usefixtures("no_figures")
