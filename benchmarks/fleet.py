@@ -23,18 +23,17 @@ class Costs:
     """What one unit costs on one core; each with the command it comes from in docs/fleet.md.
 
     Attributes:
-        classical_s: CPU seconds of one start on one minute of driving; newton_s: the same, few-shot-newton.
+        classical_s: CPU seconds of one start on one minute of driving.
         discovery_s: CPU seconds for 10 minutes of driving, without the report; discovery_mib: its resident memory.
         identification_mib: resident memory while identifying.
         start_s: CPU seconds until a step's process computes (imports, compiled kernels from the cache).
         step_s: CPU seconds of Prefect and this project's cache for one step, server included.
         record_s: CPU seconds to log one MLflow run of some 80 metrics to sqlite.
         minute_bytes: a minute at 5 Hz, 13 columns: CSV, Parquet as it is, Parquet of 12-bit integers.
-        verdict_bytes, report_bytes: discrepancy.json with the engine file; report with figures and implied.parquet.
+        verdict_bytes: discrepancy.json with the engine file.
     """
 
     classical_s: float = 0.065
-    newton_s: float = 0.16
     discovery_s: float = 8.5
     discovery_mib: float = 500.0
     identification_mib: float = 400.0
@@ -43,7 +42,6 @@ class Costs:
     record_s: float = 0.032
     minute_bytes: tuple[float, float, float] = (68_800.0, 30_600.0, 8_200.0)
     verdict_bytes: float = 5_400.0
-    report_bytes: float = 2.9e6
 
 
 MEASURED = Costs()

@@ -1,4 +1,4 @@
-"""What nearly every module handles: an array of numbers of double precision, and a robust measure of its scatter."""
+"""What nearly every module handles: an array of numbers of double precision, and robust measures of their scatter."""
 
 from __future__ import annotations
 
@@ -15,6 +15,12 @@ MAD_TO_STD = 1.482602218505602
 _MOST, _ROUNDS = 2.5, 50  # standard deviations, from which on a value counts as one there; rounds of a fixed point
 _WITHIN = math.erf(_MOST / math.sqrt(2.0))
 _KEPT = _WITHIN - _MOST * math.sqrt(2.0 / math.pi) * math.exp(-0.5 * _MOST**2) + _MOST**2 * (1.0 - _WITHIN)
+
+
+def robust_std(values: Array, axis: int | None = None) -> Array:
+    """Standard deviation [unit of values] from the median distance to the median, of all values or along an axis."""
+    middle = np.median(values, axis=axis, keepdims=True)
+    return np.asarray(MAD_TO_STD * np.median(np.abs(values - middle), axis=axis))
 
 
 def rms_of_most(values: Array, own: Array, known: float) -> float:

@@ -66,18 +66,12 @@ class Fit:
     Attributes:
         unknowns: (L, m) best values.
         linear: cost, gradient and Hessian there.
-        damping: (L,) Levenberg-Marquardt factor.
-        decrement: (L,) distance to the minimum that the quadratic model predicts, in standard deviations [-].
-        remaining: (L,) largest move of an unknown of interest on that way, in its standard deviations [-].
         iterations: (L,) evaluations used.
         converged: (L,) gradient so small that no unknown of interest would move by `CONVERGED_BELOW`.
     """
 
     unknowns: Array
     linear: Linearisation
-    damping: Array
-    decrement: Array
-    remaining: Array
     iterations: Index
     converged: NDArray[np.bool_]
 
@@ -211,7 +205,7 @@ def levenberg_marquardt(
     std = np.sqrt(np.diagonal(covariance(curvature), axis1=1, axis2=2))
     remaining = (np.abs(way) / std)[:, interest].max(axis=1)
     converged = np.isfinite(cost) & (remaining <= CONVERGED_BELOW)
-    return Fit(x, Linearisation(cost, gradient, hessian), factor, decrement, remaining, iterations, converged)
+    return Fit(x, Linearisation(cost, gradient, hessian), iterations, converged)
 
 
 def keep_better(fit: Fit, other: Fit, where: Index) -> Fit:

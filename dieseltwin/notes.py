@@ -8,6 +8,9 @@ from typing import Any
 READING = "reading"
 """Code of a note on what reading did to a file."""
 
+OF_THE_FIT = ("misfit", "residuals")
+"""Codes of the notes on how well the twin fits: they stand before the numbers."""
+
 STRICT_CODE = 3
 """Exit code of a command with --strict whose answer carries a note."""
 

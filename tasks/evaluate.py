@@ -90,7 +90,7 @@ def ensemble(
     kept = tuple(estimate for estimate in usable if estimate is not None)
     solved = tuple(problems[i] for i in known)
     learned = InPlace(**load_networks({kind: path for kind, path in given.items() if kind in NETWORKS}))
-    found = Identification(method, kept, solved, what["seed"], seconds, IDENTIFIABLE_BELOW, learned)
+    found = Identification(method, kept, solved, seconds, IDENTIFIABLE_BELOW, learned)
     runtime = {"seconds": seconds, "seconds_per_run": [estimate.seconds_per_run for estimate in estimates]}
     if known:
         write_json(out / "identification.json", found.to_json())

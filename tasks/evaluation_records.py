@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 from tasks.evaluation_plan import Plan
-from tasks.records import curves_of, identity, settings_hash
+from tasks.records import HEALTH, curves_of, identity, settings_hash
 from tasks.run_context import current
 from tasks.store import RUNTIME, Artifact
 from tasks.tracking import Curve, Record, Tracker, view
@@ -21,10 +21,9 @@ NOTE = (
     " nested runs, the members. `tables` holds every table, `…/better_pct` the share of the paper's cells where we are"
     " as close."
 )
-_HEALTH = ("A_egrmax", "A_vgtmax", "eta_sc", "h_tot")
 _WHOLE = "ensemble"
 VIEW = view(
-    [*(f"{name}_rmse_pct" for name in _HEALTH), "seconds_per_run", "diverged", "converged_share"],
+    [*(f"{name}_rmse_pct" for name in HEALTH), "seconds_per_run", "diverged", "converged_share"],
     ["method", "case", "variant", "members", "epochs"],
     f"tags.level = '{_WHOLE}'",  # without the members, which fill a page of their own
 )

@@ -52,7 +52,7 @@ SECTIONS = {
     "evaluate": ("seed", "engine", "noise", "pretrain", "identify", "evaluation"),
 }
 
-_HEALTH = ("A_egrmax", "A_vgtmax", "eta_sc", "h_tot")
+HEALTH = ("A_egrmax", "A_vgtmax", "eta_sc", "h_tot")
 
 # Columns that each experiment's page shows.
 VIEWS = {
@@ -67,8 +67,8 @@ VIEWS = {
     ),
     "identify": view(
         [
-            *(f"{name}_error_pct" for name in _HEALTH),
-            *(f"{name}_ratio_to_bound" for name in _HEALTH),
+            *(f"{name}_error_pct" for name in HEALTH),
+            *(f"{name}_ratio_to_bound" for name in HEALTH),
             "seconds_per_run",
         ],
         ["runs"],
@@ -76,7 +76,7 @@ VIEWS = {
     "discover": view(
         [
             *("mismatch", "p_value", "probability", "magnitude", "std", "nll_before", "nll_after"),
-            *(f"{name}{ending}" for name in _HEALTH for ending in ("", "_before")),
+            *(f"{name}{ending}" for name in HEALTH for ending in ("", "_before")),
             "seconds",
         ],
         ["effects", "site", "unit"],
@@ -90,7 +90,7 @@ VIEWS = {
         ["cases", "tier", "sensors"],
     ),
     "watch": view(
-        ["alarm", "evidence", "recordings", "added", "refused", *(f"{name}_since_reference" for name in _HEALTH)],
+        ["alarm", "evidence", "recordings", "added", "refused", *(f"{name}_since_reference" for name in HEALTH)],
         ["history"],
     ),
     "promote": view(["mean_ratio", "worst_ratio", "version"], ["decision"]),
@@ -309,7 +309,7 @@ def identified(
 
 def _shown(metric: str, value: float | None) -> float | None:
     """Errors and ratios as they are read: MLflow shows every digit it gets."""
-    return value if value is None or metric in _HEALTH or metric.endswith("_std") else round(value, 3)
+    return value if value is None or metric in HEALTH or metric.endswith("_std") else round(value, 3)
 
 
 def _own(section: Mapping[str, Any], method: str) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from dieseltwin.atomic import write_json
 from tasks.failures import StepFailed
 from tasks.model_folder import MODEL_FILE, NETWORKS
 from tasks.store import Artifact, content_hash
-from tasks.tracking import Record, Tracker
+from tasks.tracking import SCHEME, Record, Tracker
 
 NAME = "dieseltwin-networks"
 CHAMPION, PREVIOUS, CHALLENGER = "champion", "previous", "challenger"
@@ -35,7 +35,6 @@ _HASH = "dieseltwin.sha256"
 _ACCEPTANCE = "acceptance"
 _TESTS = "acceptance.json"
 _FOLDER = "model"
-_SCHEME = "mlflow-artifacts:/"
 
 
 @dataclass(frozen=True)
@@ -299,7 +298,7 @@ class Registry:
         return version if version.path.is_dir() and content_hash(version.path) == wanted else None
 
     def _folder(self, source: str) -> Path:
-        return self.tracker.workspace.mlruns / "artifacts" / source.removeprefix(_SCHEME).lstrip("/")
+        return self.tracker.workspace.mlruns / "artifacts" / source.removeprefix(SCHEME).lstrip("/")
 
 
 def superseded_by(number: int | str) -> str:

@@ -28,7 +28,7 @@ from typing import Any
 from tasks import databases
 from tasks.workspace import PROJECT, Workspace
 
-_SCHEME = "mlflow-artifacts:/"
+SCHEME = "mlflow-artifacts:/"
 _IDENTITY = "dieseltwin.result"
 COMMIT, DIRTY = "mlflow.source.git.commit", "git.dirty"
 
@@ -112,7 +112,7 @@ class Tracker:
         with self._alone():
             found = client.get_experiment_by_name(name)
             folder = name.replace(" ", "-")
-            experiment_id = found.experiment_id if found else client.create_experiment(name, _SCHEME + folder)
+            experiment_id = found.experiment_id if found else client.create_experiment(name, SCHEME + folder)
             wanted = {
                 "mlflow.note.content": description,
                 # without it MLflow shows its pages for chat programs first
@@ -225,7 +225,7 @@ class Tracker:
             self.client.log_inputs(run_id, datasets=[_dataset(*item) for item in record.datasets.items()])
 
     def _copy(self, uri: str, artifacts: Mapping[str, Path]) -> None:
-        folder = self.workspace.mlruns / "artifacts" / uri.removeprefix(_SCHEME).lstrip("/")
+        folder = self.workspace.mlruns / "artifacts" / uri.removeprefix(SCHEME).lstrip("/")
         for name, source in artifacts.items():
             target = folder / name
             if target.is_file() and filecmp.cmp(source, target, shallow=False):
@@ -261,7 +261,7 @@ def _make_database(path: Path) -> None:
     for stale in path.parent.glob(f"{path.name}.*.partial"):
         stale.unlink()
     partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
-    store = SqlAlchemyStore(f"sqlite:///{partial}", f"{_SCHEME}default")
+    store = SqlAlchemyStore(f"sqlite:///{partial}", f"{SCHEME}default")
     store.engine.dispose()
     partial.rename(path)
 

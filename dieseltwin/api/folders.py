@@ -6,8 +6,8 @@ from pathlib import Path
 
 from dieseltwin.discovery.verdict.document import FILE_NAME as DISCREPANCY
 from dieseltwin.errors import InputError
+from dieseltwin.report.results import FILE_NAME as IDENTIFICATION
 
-IDENTIFICATION = "identification.json"
 _SAVED_BY = {DISCREPANCY: "discover", IDENTIFICATION: "identify"}
 
 

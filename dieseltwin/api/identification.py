@@ -27,7 +27,7 @@ from dieseltwin.identification.identify import identify_segments
 from dieseltwin.identification.problem import NoiseLevels, SegmentProblem, problems_from_recording
 from dieseltwin.identification.result import Identification, curves_table
 from dieseltwin.learning.files import LearnedEngine, learned_engine_of, untold
-from dieseltwin.notes import Note, doubts_among, of_reading, warnings_of
+from dieseltwin.notes import OF_THE_FIT, Note, doubts_among, of_reading, warnings_of
 from dieseltwin.recordings.channel_checks import channel_notes
 from dieseltwin.recordings.channels import SENSORS, refuse_missing
 from dieseltwin.recordings.circumstances import with_charge
@@ -51,7 +51,6 @@ if TYPE_CHECKING:
 SEGMENT_RANGE_S = (10.0, 3600.0)
 MOST_RUNS = 10_000
 MOST_ROWS = 1_500_000  # 42 hours at 10 Hz; the bands of the states take a kilobyte a row
-MISFIT_CODES = ("misfit", "residuals")  # of the fit's test: they stand before the numbers
 OPTIONAL_RESULTS = ("curves.parquet", "report.html", "report.pdf", "figures")  # of another method: they mustn't stay
 
 
@@ -92,7 +91,7 @@ class Identified(Result):
         found: estimates of every segment and run.
         problems: the segments.
         notes: what was left out, and what is doubtful; one sentence each.
-        provenance: hashes of the settings and of the recording.
+        provenance: seed, hashes of the settings and of the recording, its name.
         tolerant: health fitted beside tolerances of maps and sensors, which no interval of `found` contains; empty
             where that fit wasn't made or doesn't hold (see `fit_test.Examined`).
     """
@@ -100,7 +99,7 @@ class Identified(Result):
     found: Identification
     problems: tuple[SegmentProblem, ...]
     notes: tuple[str, ...]
-    provenance: Mapping[str, str]
+    provenance: Mapping[str, str | int]
     tolerant: Mapping[str, Tolerant] = field(default_factory=dict)
 
     @property
@@ -145,7 +144,7 @@ class Identified(Result):
         """identification.json, runtime.json, states.parquet, report.html, figures/; curves.parquet if any."""
         keep_apart(out, IDENTIFICATION)
         with atomic_folder(out, owned=OPTIONAL_RESULTS) as folder:
-            name = self.provenance.get("recording", "")
+            name = str(self.provenance.get("recording", ""))
             states = self.found.states  # worked out once, before the figures want them in a process of their own
             told = {**self.document, "warnings": self.warnings}
             drawn_beside = begin_beside(_write_page, self.found, self.problems, told, folder, name)
@@ -171,7 +170,7 @@ class Identified(Result):
 
     @property
     def _misfits(self) -> list[Note]:
-        return [note for note in doubts_among(self.notes) if note.code in MISFIT_CODES]
+        return [note for note in doubts_among(self.notes) if note.code in OF_THE_FIT]
 
     def lines(self) -> list[str]:
         """That the twin doesn't fit, where it doesn't; the table as text, and the other notes."""
@@ -252,8 +251,10 @@ class IdentificationQuestion:
                 cut = problems_of(fit.recording, fit.engine, self.settings, self.segment_s, self.sensors)
                 problems = tuple(_usable(cut, fit.recording)[0])
         found = identify_segments(problems, self.method, self.runs, self.seed, config=config, **self.networks)
-        provenance = {"params_sha256": self.settings.sha256, "recording_sha256": self.recording.sha256,
-                      **({"recording": self.recording_name} if self.recording_name else {})}  # fmt: skip
+        provenance: dict[str, str | int] = {
+            "params_sha256": self.settings.sha256, "recording_sha256": self.recording.sha256, "seed": self.seed,
+            **({"recording": self.recording_name} if self.recording_name else {}),
+        }  # fmt: skip
         return Identified(found, problems, (*doubts, *self.notes), provenance, tolerant)
 
 
@@ -391,8 +392,7 @@ def _usable(problems: list[SegmentProblem], source: Recording) -> tuple[list[Seg
 
 
 def _notes(source: Recording, parameters: EngineParameters, known: LearnedEngine | None) -> list[Note]:
-    ranges = {"n_e_rpm": parameters.n_e_range, "u_delta_mg": parameters.u_delta_range,
-              "u_egr_pct": parameters.u_egr_range, "u_vgt_pct": parameters.u_vgt_range}  # fmt: skip
+    ranges = parameters.input_ranges
     out = [Note(f"{count} of {len(source.time_s)} rows of {name} are outside the engine's range "
                 f"{ranges[name][0]:g} to {ranges[name][1]:g}", "out_of_range", (name,))
            for name, count in rows_out_of_range(source.columns, ranges).items()]  # fmt: skip

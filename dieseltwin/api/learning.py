@@ -323,7 +323,8 @@ def _check_misfits(known: LearnedEngine, marks: Sequence[float]) -> None:
         marks: largest misfit of each of the recordings, in their order.
     """
     misfits = [known.misfits[one.sha256] for one in known.recordings]
-    strange = [item for item in zip(known.recordings, misfits, marks, strict=True) if item[1] > item[2]]
+    each = zip(known.recordings, misfits, marks, strict=True)
+    strange = [item for item in each if not item[1] <= item[2]]  # NaN, too
     if strange:
         worst, misfit, mark = max(strange, key=lambda item: (item[0].path is not None, item[1] / item[2]))
         raise InputError(

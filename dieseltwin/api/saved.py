@@ -11,12 +11,12 @@ from dieseltwin.api.folders import IDENTIFICATION as IDENTIFICATION
 from dieseltwin.discovery.verdict.document import FILE_NAME, load_discrepancy
 from dieseltwin.errors import InputError
 from dieseltwin.least_squares import Z_90 as Z_90
+from dieseltwin.notes import READING
 from dieseltwin.report import quantities
 from dieseltwin.report.discovery_words import magnitude_words, site_words
+from dieseltwin.report.quantities import EMPTY
+from dieseltwin.report.quantities import with_symbols as with_symbols
 from dieseltwin.sealed import read_json
-
-_EMPTY = "–"
-_READING = "reading"  # code of notes (`notes.Note`)
 
 
 @dataclass(frozen=True)
@@ -95,11 +95,6 @@ class Difference:
     beyond: bool
 
 
-def marked(text: str) -> str:
-    """HTML of a sentence, the quantities in it ("h_tot") set as symbols."""
-    return quantities.with_symbols(text)
-
-
 BEYOND = 3.0  # standard deviations from which two estimates are said to differ
 
 
@@ -124,7 +119,7 @@ def differences(one: Saved, other: Saved) -> tuple[Difference, ...]:
 
 
 def _difference(one: Level, other: Level) -> Difference:
-    change = sure = _EMPTY
+    change = sure = EMPTY
     beyond = False
     if one.value and other.value is not None:
         change = quantities.percent(other.value / one.value - 1.0, signed=True)
@@ -139,14 +134,14 @@ def _discovered(folder: Path) -> Saved:
     document = load_discrepancy(folder)
     levels = tuple(_level(name, entry.value, entry.std, entry.before if document.mismatch else None)
                    for name, entry in document.health.items())
-    place = _EMPTY if document.location is None else site_words(document.location.site)
+    place = EMPTY if document.location is None else site_words(document.location.site)
     effects = tuple(
         Effect(effect.name, place,
-               _EMPTY if effect.magnitude is None
+               EMPTY if effect.magnitude is None
                else magnitude_words(effect.name, effect.magnitude, effect.std, effect.unit),
                quantities.probability(effect.probability),
-               ", ".join(effect.equivalent_names) or _EMPTY,
-               effect.law or _EMPTY)
+               ", ".join(effect.equivalent_names) or EMPTY,
+               effect.law or EMPTY)
         for effect in document.effects
     )  # fmt: skip
     about = f"{document.recording.duration_s:.0f} s, {len(document.recording.channels)} sensors"
@@ -156,8 +151,8 @@ def _discovered(folder: Path) -> Saved:
 
 def _apart(said: Sequence[tuple[str, str]]) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Doubts, and what was done on reading, of codes and texts."""
-    read = tuple(text for code, text in said if code == _READING)
-    return tuple(text for code, text in said if code != _READING), read
+    read = tuple(text for code, text in said if code == READING)
+    return tuple(text for code, text in said if code != READING), read
 
 
 def _identified(folder: Path) -> Saved:
@@ -180,7 +175,7 @@ def _level(name: str, value: float | None, std: float | None, before: float | No
     if value is not None:
         text = quantities.value_with_std(name, value, math.nan if std is None else std, with_unit=False)
     return Level(
-        name, quantities.html_symbol(name), "" if unit == _EMPTY else unit, quantities.words(name),
+        name, quantities.html_symbol(name), "" if unit == EMPTY else unit, quantities.words(name),
         None if value is None else value * scale, None if std is None else std * scale, text,
         None if before is None or not value else value / before - 1.0,
     )  # fmt: skip

@@ -13,9 +13,9 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, RedirectResponse
+from starlette.responses import FileResponse, HTMLResponse, RedirectResponse, Response
 
-from dieseltwin.api.saved import Saved, marked, saved
+from dieseltwin.api.saved import Saved, saved, with_symbols
 from dieseltwin.app.kept import (
     ABOUT,
     ACTIVE,
@@ -31,6 +31,7 @@ from dieseltwin.app.kept import (
     now,
 )  # fmt: skip
 from dieseltwin.app.lanes import Lanes
+from dieseltwin.app.security import REPORT_POLICY
 from dieseltwin.app.workplace import Workplace, new_id
 from dieseltwin.errors import InputError
 from dieseltwin.version import __version__
@@ -84,7 +85,7 @@ class Desk:
             lstrip_blocks=True,
         )  # fmt: skip
         self.environment.filters |= {"moment": moment, "size": size_words, "duration": duration_words,
-                                     "marked": marked_words}  # fmt: skip
+                                     "marked": with_symbols}  # fmt: skip
         self.environment.globals |= {"version": __version__, "largest_mb": workplace.limits.upload_mb,
                                      "kind_words": KIND_WORDS}  # fmt: skip
 
@@ -99,6 +100,19 @@ class Desk:
     def refused(self, status: int, words: str, back: str = "/") -> HTMLResponse:
         """The page that says what is wrong."""
         return self.page("error.html.j2", status, words=words, back=back, tab="")
+
+    def download(self, path: Path | None, name: str, missing: str, back: str,
+                 media_type: str = "application/octet-stream") -> Response:  # fmt: skip
+        """A file to take away under a name; the page that says what is missing where there is none."""
+        if path is None or not path.is_file():
+            return self.refused(404, missing, back)
+        return FileResponse(path, media_type=media_type, filename=name)
+
+    def report(self, path: Path | None, missing: str, back: str) -> Response:
+        """A page without any right on this one: what it embeds can't reach the server."""
+        if path is None or not path.is_file():
+            return self.refused(404, missing, back)
+        return FileResponse(path, media_type="text/html", headers={"Content-Security-Policy": REPORT_POLICY})
 
     # --- what is asked for, or 404
 
@@ -221,11 +235,6 @@ def moment(text: str | None) -> Markup | str:
     if text is None:
         return ""
     return datetime.fromisoformat(text).astimezone().strftime("%d %b %Y, %H:%M")
-
-
-def marked_words(text: str) -> Markup:
-    """A sentence with its quantities set as symbols; everything else in it is text."""
-    return Markup(marked(text))
 
 
 def size_words(count: int) -> str:

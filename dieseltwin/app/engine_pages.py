@@ -8,12 +8,11 @@ from typing import Any
 from fastapi import APIRouter, Request
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import UploadFile
-from starlette.responses import FileResponse, Response
+from starlette.responses import Response
 
 from dieseltwin.app.desk import SHIPPED, Desk, desk_of, see
 from dieseltwin.app.history import Past, alarms_of, history_of, trends_of
 from dieseltwin.app.kept import BESIDE, DETAILS, ENGINE, HISTORY_PAGE, WATCHED, KeptEngine, content_of
-from dieseltwin.app.security import REPORT_POLICY
 from dieseltwin.app.workplace import MEGABYTE, MOST_RECORDINGS, shown_name
 
 router = APIRouter()
@@ -100,12 +99,9 @@ def _watched(desk: Desk, kept: KeptEngine | None) -> dict[str, Any] | None:
 
 @router.get("/engines/{key}/history")
 def watched_page(request: Request, key: str) -> Response:
-    """The page of the history, without any right on this one."""
     desk = desk_of(request)
     path = desk.store.engine_folder(desk.engine(key).id) / HISTORY_PAGE
-    if not path.is_file():
-        return desk.refused(404, "This engine has no history yet.", f"/engines/{key}")
-    return FileResponse(path, media_type="text/html", headers={"Content-Security-Policy": REPORT_POLICY})
+    return desk.report(path, "This engine has no history yet.", f"/engines/{key}")
 
 
 @router.post("/engines/{key}/history")
@@ -144,9 +140,7 @@ def part(request: Request, key: str) -> Response:
 def file(request: Request, key: str) -> Response:
     desk = desk_of(request)
     path = desk.store.engine_folder(desk.engine(key).id) / ENGINE
-    if not path.is_file():
-        return desk.refused(404, "This engine could not be read.", f"/engines/{key}")
-    return FileResponse(path, media_type="application/octet-stream", filename="engine.yaml")
+    return desk.download(path, "engine.yaml", "This engine could not be read.", f"/engines/{key}")
 
 
 @router.get("/engines/{key}/beside/{number}")
@@ -155,9 +149,7 @@ def file_beside(request: Request, key: str, number: int) -> Response:
     desk = desk_of(request)
     names = list(BESIDE.values())
     path = desk.store.engine_folder(desk.engine(key).id) / names[number % len(names)]
-    if not path.is_file():
-        return desk.refused(404, "There is no such file beside this engine.", f"/engines/{key}")
-    return FileResponse(path, media_type="application/octet-stream", filename=path.name)
+    return desk.download(path, path.name, "There is no such file beside this engine.", f"/engines/{key}")
 
 
 @router.post("/engines/{key}/remove")

@@ -7,12 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from fastapi import APIRouter, Request
-from starlette.responses import FileResponse, Response
+from starlette.responses import Response
 
 from dieseltwin.api.saved import Difference, differences
 from dieseltwin.app.desk import REPAIRED, Analysis, Desk, desk_of, see
 from dieseltwin.app.kept import ARCHIVE, HISTORY_PAGE, RESULT, Job
-from dieseltwin.app.security import REPORT_POLICY
 
 router = APIRouter()
 FILES: Mapping[str, tuple[tuple[str, ...], str]] = {
@@ -102,12 +101,8 @@ def keep_engine(request: Request, key: str) -> Response:
 
 @router.get("/jobs/{key}/report")
 def report(request: Request, key: str) -> Response:
-    """The report as a page without any right on this one: what it embeds can't reach the server."""
     desk = desk_of(request)
-    path = _file_of(desk, desk.job(key), "report.html")
-    if path is None:
-        return desk.refused(404, "This result has no report.", f"/jobs/{key}")
-    return FileResponse(path, media_type="text/html", headers={"Content-Security-Policy": REPORT_POLICY})
+    return desk.report(_file_of(desk, desk.job(key), "report.html"), "This result has no report.", f"/jobs/{key}")
 
 
 @router.get("/jobs/{key}/report.html")
@@ -117,9 +112,7 @@ def download(request: Request, key: str) -> Response:
     desk = desk_of(request)
     name = request.url.path.rpartition("/")[2]
     path, label = _file_of(desk, desk.job(key), name), FILES[name][1]
-    if path is None:
-        return desk.refused(404, f"This result has no {label}.", f"/jobs/{key}")
-    return FileResponse(path, media_type="application/octet-stream", filename=label)
+    return desk.download(path, label, f"This result has no {label}.", f"/jobs/{key}")
 
 
 @router.get("/jobs/{key}/beside/{name}")
@@ -128,9 +121,7 @@ def file_beside(request: Request, key: str, name: str) -> Response:
     desk = desk_of(request)
     made = desk.engine_made(desk.job(key))
     path = None if made is None else made[1].get(name)
-    if path is None:
-        return desk.refused(404, "There is no such file beside this engine.", f"/jobs/{key}")
-    return FileResponse(path, media_type="application/octet-stream", filename=name)
+    return desk.download(path, name, "There is no such file beside this engine.", f"/jobs/{key}")
 
 
 def _file_of(desk: Desk, job: Job, name: str) -> Path | None:

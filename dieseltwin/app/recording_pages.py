@@ -51,7 +51,7 @@ def _home(desk: Desk, status: int = 200, error: str = "") -> Response:
 async def ask_together(request: Request) -> Response:
     """What the twin leaves out of several recordings of one engine, in one verdict."""
     desk = desk_of(request)
-    form = await sent_form(request, 0)
+    form = await sent_form(request)
     chosen = tuple(dict.fromkeys(str(key) for key in form.getlist("together")
                                  if desk.store.recording(str(key)) is not None))
     engine = str(form.get("engine", ""))
@@ -64,9 +64,9 @@ async def ask_together(request: Request) -> Response:
     return see(f"/jobs/{job.id}")
 
 
-async def sent_form(request: Request, files: int) -> FormData:
-    """A form within limits; `app.security` counts its bytes."""
-    return await request.form(max_files=files, max_fields=MOST_FIELDS, max_part_size=FIELD_BYTES)
+async def sent_form(request: Request) -> FormData:
+    """A form without files, within limits; `app.security` counts its bytes."""
+    return await request.form(max_files=0, max_fields=MOST_FIELDS, max_part_size=FIELD_BYTES)
 
 
 @router.post("/recordings")
@@ -153,7 +153,7 @@ def check_part(request: Request, key: str) -> Response:
 async def save_map(request: Request, key: str) -> Response:
     desk = desk_of(request)
     kept = desk.recording(key)
-    form = await sent_form(request, 0)
+    form = await sent_form(request)
     fields = {name: value for name, value in form.items() if isinstance(value, str)}
     return await run_in_threadpool(_save_map, desk, kept, fields)
 
@@ -181,7 +181,7 @@ async def look_again(request: Request, key: str) -> Response:
     """Look into a file once more, with the engine's number of cylinders; the map starts anew."""
     desk = desk_of(request)
     kept = desk.recording(key)
-    form = await sent_form(request, 0)
+    form = await sent_form(request)
     try:
         cylinders = cylinders_of(str(form.get("cylinders", "")).strip())
     except InputError as error:
@@ -197,7 +197,7 @@ async def look_again(request: Request, key: str) -> Response:
 async def ask(request: Request, key: str) -> Response:
     desk = desk_of(request)
     kept = desk.recording(key)
-    form = await sent_form(request, 0)
+    form = await sent_form(request)
     kind, engine = str(form.get("kind", "")), str(form.get("engine", ""))
     if kind not in ("discover", "identify", "watch"):
         return _page(desk, kept, 422, "Choose what is to be found.")
@@ -221,9 +221,7 @@ async def ask(request: Request, key: str) -> Response:
 def map_file(request: Request, key: str) -> Response:
     desk = desk_of(request)
     path = desk.store.recording_folder(desk.recording(key).id) / MAP
-    if not path.is_file():
-        return desk.refused(404, "There is no channel map yet.", f"/recordings/{key}")
-    return FileResponse(path, media_type="application/yaml", filename="map.yaml")
+    return desk.download(path, "map.yaml", "There is no channel map yet.", f"/recordings/{key}", "application/yaml")
 
 
 @router.get("/recordings/{key}/overview.png")

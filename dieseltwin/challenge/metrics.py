@@ -7,7 +7,7 @@ it out: sizes of sets, laws, magnitudes and their coverage, health, gain and tim
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -104,14 +104,17 @@ def top_names(rows: Sequence[CaseRow], any_size: bool = False) -> Share:
     """Of counted single faults (partial ones included; `any_size`: smaller ones too) that are separable at the truth,
     those whose name is reported first."""
     cases = nameable(rows) if any_size else counted(nameable(rows))
-    units = [(row, row.truth[0]) for row in cases if len(row.truth) == 1 and row.truth[0].separable]
-    return Share(sum(bool(row.said) and row.said[0].name == effect.name for row, effect in units), len(units))
+    return _named_first(row for row in cases if len(row.truth) == 1 and row.truth[0].separable)
 
 
 def top_names_unconditioned(rows: Sequence[CaseRow]) -> Share:
     """Counted single faults whose name is reported first, separable or not."""
-    units = [(row, row.truth[0]) for row in counted(nameable(rows)) if len(row.truth) == 1]
-    return Share(sum(bool(row.said) and row.said[0].name == effect.name for row, effect in units), len(units))
+    return _named_first(row for row in counted(nameable(rows)) if len(row.truth) == 1)
+
+
+def _named_first(singles: Iterable[CaseRow]) -> Share:
+    right = [bool(row.said) and row.said[0].name == row.truth[0].name for row in singles]
+    return Share(sum(right), len(right))
 
 
 def withheld_none(rows: Sequence[CaseRow], separable_only: bool = False) -> Share:

@@ -128,7 +128,7 @@ def c_source(engine: EngineParameters, name: str, command_line: bool = True) -> 
         _heading(engine, name),
         "".join(_struct(kind, fields) for kind, fields in structs.items()),
         source_text("primitives.c"),
-        _numbers(engine, terms, len(laws), translation.constants),
+        _numbers(terms, len(laws), translation.constants),
         *translation.texts,
         of_constants,
         _inputs(engine),
@@ -183,7 +183,7 @@ def _struct(kind: str, fields: tuple[str, ...]) -> str:
     return "typedef struct {\n" + "\n".join(lines) + f"\n}} {kind};\n\n"
 
 
-def _numbers(engine: EngineParameters, terms: TermsInC, laws: int, named: dict[str, str]) -> str:
+def _numbers(terms: TermsInC, laws: int, named: dict[str, str]) -> str:
     kernel = {name: getattr(_compiled, name) for name in (
         "P_IM_LOW", "P_IM_HIGH", "P_EM_LOW", "P_EM_HIGH", "OMEGA_LOW", "OMEGA_HIGH", "X_R_START", "T_1_START", "X_OC",
     )}  # fmt: skip
@@ -229,10 +229,8 @@ def _inputs(engine: EngineParameters) -> str:
     columns = input_columns(engine)
     names = ", ".join(f'"{name}"' for name in columns)
     reads = ", ".join(f"values[{j}]" for j in range(len(columns)))
-    limits = {"n_e_rpm": engine.n_e_range, "u_delta_mg": engine.u_delta_range, "u_egr_pct": engine.u_egr_range,
-              "u_vgt_pct": engine.u_vgt_range}  # fmt: skip
     clips = "\n".join(f"    u.{c} = minimum(maximum(u.{c}, {number(low)}), {number(high)});"
-                      for c, (low, high) in limits.items())  # fmt: skip
+                      for c, (low, high) in engine.input_ranges.items())  # fmt: skip
     return (
         f"#define N_INPUTS {len(columns)}\n#define INPUT_NAMES {names}\n\n"
         f"static inline Inputs inputs_of(const double *values)\n{{\n    return (Inputs){{{reads}}};\n}}\n\n"

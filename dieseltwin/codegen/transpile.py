@@ -10,7 +10,7 @@ import ast
 import inspect
 import sys
 import textwrap
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -316,6 +316,11 @@ class Translation:
                 found += [Expression(spelled(rest), scope.types[rest]) for rest in scope.rest]
             else:
                 found.append(self.expression(item, scope))
+        return self._called(name, signature, found, node, scope)
+
+    def _called(
+        self, name: str, signature: Signature, found: Sequence[Expression], node: ast.AST, scope: _Scope
+    ) -> Expression:
         if [item.type for item in found] != [kind for kind, _ in signature.arguments]:
             raise self._refusal(scope, node, f"{name} of {[item.type for item in found]}")
         return Expression(f"{signature.name}({', '.join(item.text for item in found)})", signature.type)
@@ -344,11 +349,7 @@ class Translation:
             first = self.need(next(iter(scoped.functions.values())))
             count = len(given) - len(wanted)
             self._translate(own, scoped, of=own, rest=first.arguments[len(first.arguments) - count :])
-        signature = self.signatures[own]
-        found = [self.expression(item, scope) for item in plain]
-        if [item.type for item in found] != [kind for kind, _ in signature.arguments]:
-            raise self._refusal(scope, node, f"{name} of {[item.type for item in found]}")
-        return Expression(f"{own}({', '.join(item.text for item in found)})", signature.type)
+        return self._called(name, self.signatures[own], [self.expression(item, scope) for item in plain], node, scope)
 
     @staticmethod
     def _refusal(scope: _Scope, node: ast.AST, why: str) -> NotTranslatedError:

@@ -30,7 +30,7 @@ from dieseltwin.engine import HEALTH, EngineParameters
 from dieseltwin.errors import InputError
 from dieseltwin.learning.files import LearnedEngine
 from dieseltwin.learning.levels import relative_health_std
-from dieseltwin.notes import Note
+from dieseltwin.notes import OF_THE_FIT, Note
 from dieseltwin.recordings.between_rows import rows_are_slow, rows_may_be_slow
 from dieseltwin.recordings.columns import Columns
 from dieseltwin.recordings.reader import Recording
@@ -236,7 +236,7 @@ def tested(
         minutes_max: of a longer recording the liveliest stretches show circumstances; None: all of it.
     """
     first = examine(recording, engine, sensors, learned)
-    if any(note.code in ("misfit", "residuals") for note in first.notes):
+    if any(note.code in OF_THE_FIT for note in first.notes):
         there = tuple(name for name in sensors if name in recording.columns)
         right, under, shown = as_it_was(recording, engine, Options(sensors=there), minutes_max, learned)
         if shown:

@@ -58,14 +58,13 @@ class Suspicion:
 
     Attributes:
         fault: which.
-        size, std: estimate and its standard deviation [unit of the fault].
+        size: estimate [unit of the fault].
         gain: decrease of -2 log likelihood that it would bring.
         held: the same without the window that it hangs on most (`score.spread`).
     """
 
     fault: RecordingFault
     size: float
-    std: float
     gain: float
     held: float
 
@@ -132,5 +131,5 @@ def suspicions(at: Linearisation, faults: list[RecordingFault]) -> list[Suspicio
         if information > 0.0:
             push = float(vector @ at.pulled_residual)
             gain = push * push / information
-            found.append(Suspicion(fault, push / information, information**-0.5, gain, gain * spread(at, vector)))
+            found.append(Suspicion(fault, push / information, gain, gain * spread(at, vector)))
     return sorted(found, key=lambda item: -item.gain)

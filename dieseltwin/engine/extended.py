@@ -13,7 +13,7 @@ from dieseltwin.engine._compiled_rates import N_OUT, N_STATES
 from dieseltwin.engine.effects import GAS_LAG, IMPLICIT, STATE_EFFECTS
 from dieseltwin.engine.inputs import Actuation, grids_of
 from dieseltwin.engine.map_corrections import NO_CORRECTIONS, MapCorrections
-from dieseltwin.engine.observations import Observations, observations, pool, thread_count
+from dieseltwin.engine.observations import Observations, in_threads, observations, thread_count
 from dieseltwin.engine.parameters import ParameterBatch
 from dieseltwin.engine.quantities import POINTS
 from dieseltwin.errors import InputError
@@ -172,9 +172,5 @@ def simulate_extended(
         pieces = _pieces(rows, lagging, restarts, first.steps)
         shares = max(-(-len(pieces) // MOST_PIECES), min(threads, -(-len(pieces) // LANES)))
         tasks += [(integrate, share) for share in np.array_split(pieces, shares)] if shares else []
-    if threads > 1 and len(tasks) > 1:
-        list(pool(threads).map(run, tasks))
-    else:
-        for task in tasks:
-            run(task)
+    in_threads(run, tasks, threads)
     return observations(out, N_STATES)

@@ -99,13 +99,8 @@ class Inputs:
 
     def clipped(self, parameters: EngineParameters) -> Inputs:
         """The inputs saturated to the engine's ranges, as the published simulation does on entry."""
-        ranges = {
-            "n_e_rpm": parameters.n_e_range,
-            "u_delta_mg": parameters.u_delta_range,
-            "u_egr_pct": parameters.u_egr_range,
-            "u_vgt_pct": parameters.u_vgt_range,
-        }
-        return replace(self, **{name: np.clip(getattr(self, name), *limits) for name, limits in ranges.items()})
+        ranges = parameters.input_ranges.items()
+        return replace(self, **{name: np.clip(getattr(self, name), *limits) for name, limits in ranges})
 
     def resampled(self, step_s: float) -> Inputs:
         """The same piecewise linear inputs with samples at most `step_s` apart (old samples kept); no history."""

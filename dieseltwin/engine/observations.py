@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TypeVar
 
 import numpy as np
 
 from dieseltwin.errors import InputError
 from dieseltwin.sensors import N_READ_STATES
+
+T = TypeVar("T")
+R = TypeVar("R")
 
 
 @dataclass(frozen=True)
@@ -53,3 +58,9 @@ def thread_count() -> int:
 def pool(threads: int) -> ThreadPoolExecutor:
     """The threads of all simulations."""
     return ThreadPoolExecutor(max_workers=threads, thread_name_prefix=SIMULATOR_THREADS)
+
+
+def in_threads(one: Callable[[T], R], items: Sequence[T], threads: int | None = None) -> list[R]:
+    """What a function answers for each item, in their order; with several threads those of all simulations run it."""
+    threads = thread_count() if threads is None else threads
+    return list(pool(threads).map(one, items)) if threads > 1 and len(items) > 1 else list(map(one, items))

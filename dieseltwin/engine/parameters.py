@@ -13,8 +13,9 @@ from dieseltwin.engine.model_constants import CONSTANT_NAMES, PUBLISHED, Constan
 from dieseltwin.engine.terms import AnyTerm
 from dieseltwin.errors import InputError
 from dieseltwin.settings.strict import NO_YES_FOR_A_NUMBER, asked_of, holds_boolean, unknown_name
+from dieseltwin.symbols import HEALTH_NAMES, INPUT_COLUMNS
 
-HEALTH = ("A_egrmax", "A_vgtmax", "eta_sc", "h_tot")
+HEALTH = HEALTH_NAMES
 """The four health parameters, in the order of every array that holds them."""
 
 HEALTH_UNITS = {"A_egrmax": "m2", "A_vgtmax": "m2", "eta_sc": "-", "h_tot": "W/(m2 K)"}
@@ -115,6 +116,12 @@ class EngineParameters(BaseModel):
         if any(holds_boolean(entry) for entry in entries):
             raise ValueError(NO_YES_FOR_A_NUMBER)
         return value
+
+    @property
+    def input_ranges(self) -> dict[str, tuple[float, float]]:
+        """Valid range of each input's column [rpm, mg/cycle, %, %]."""
+        ranges = (self.n_e_range, self.u_delta_range, self.u_egr_range, self.u_vgt_range)
+        return dict(zip(INPUT_COLUMNS, ranges, strict=True))
 
     @field_validator("n_e_range", "u_delta_range", "u_egr_range", "u_vgt_range")
     @classmethod
@@ -217,10 +224,6 @@ class ParameterBatch:
     def size(self) -> int:
         """Number of parameter sets B."""
         return int(self.values.shape[1])
-
-    def column(self, name: str) -> np.ndarray:
-        """One constant of all sets, shape (B,)."""
-        return self.values[CONSTANT_NAMES.index(name)]
 
     def constants(self) -> Constants:
         """The constants as arrays of shape (B, 1), to broadcast over time."""

@@ -13,7 +13,7 @@ from dieseltwin.engine.binding import Model, numpy_model
 from dieseltwin.engine.extended_frame import columns_along
 from dieseltwin.engine.extended_terms import along, at_rest, simulate_lanes, simulate_terms
 from dieseltwin.engine.inputs import DEFAULT_STEP_S, Actuation, Inputs, actuate_like, grids_of
-from dieseltwin.engine.observations import Observations, observations, pool, thread_count
+from dieseltwin.engine.observations import Observations, in_threads, observations, thread_count
 from dieseltwin.engine.parameters import EngineParameters, ParameterBatch, constants, parameter_batch
 from dieseltwin.engine.sensor_effects import slot_parts
 from dieseltwin.engine.terms import SENSOR_SLOTS, effect_terms, law_terms
@@ -92,12 +92,7 @@ def simulate_states(
             block[:] = target[: block.shape[0]]
 
     begins = range(0, lanes, LANES)
-    threads = thread_count() if threads is None else threads
-    if threads > 1 and len(begins) > 1:
-        list(pool(threads).map(run, begins))
-    else:
-        for begin in begins:
-            run(begin)
+    in_threads(run, begins, threads)
     return observations(out, N_STATES)
 
 

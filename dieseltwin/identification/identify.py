@@ -58,7 +58,5 @@ def identify_segments(
     began = time.perf_counter()
     estimates = chosen.run(list(problems), runs, seed, bodies=bodies, operators=operators, maps=maps, config=config)
     seconds = time.perf_counter() - began
-    return Identification(
-        method, tuple(estimates), tuple(problems), seed, seconds, config.identifiable_bound_rel,
-        InPlace(maps, operators),
-    )  # fmt: skip
+    learned = InPlace(maps, operators)
+    return Identification(method, tuple(estimates), tuple(problems), seconds, config.identifiable_bound_rel, learned)

@@ -171,7 +171,6 @@ class Identification:
         method: name of the method.
         segments: one estimate for each segment.
         problems: the problems that were solved, same order.
-        seed: seed of the starts.
         seconds: wall seconds of the whole identification [s].
         threshold: largest relative bound that counts as identifiable [-].
         learned: what it was made with in place of formulae.
@@ -180,7 +179,6 @@ class Identification:
     method: str
     segments: tuple[SegmentEstimate, ...]
     problems: tuple[SegmentProblem, ...]
-    seed: int
     seconds: float
     threshold: float
     learned: InPlace = FORMULAE

@@ -95,7 +95,6 @@ class Alarm:
         grows: whether growth explains it better than one size since its beginning.
         since: day of its beginning, most likely: the first recording that has it, or from which on it grows; earliest,
             latest: 90 % interval.
-        evidence: M.
         sizes, stds: of it in every recording [unit]; where a recording doesn't name it, against those before it began
             (against none: the reference), and NaN where it wasn't scored.
         gone: number of the recording from which on it isn't there any more, None where it is.
@@ -113,7 +112,6 @@ class Alarm:
     since: datetime
     earliest: datetime
     latest: datetime
-    evidence: float
     sizes: Array
     stds: Array
     gone: int | None = None
@@ -186,7 +184,7 @@ def course(
     if evidence[at] < threshold:
         return Course(evidence, threshold, None)
     weighted = np.stack([item.whole[at] for item in effects]) + weights[:, at]
-    alarm = _alarm(at, effects, weighted, scores, dates, float(evidence[at]), settings, shown)
+    alarm = _alarm(at, effects, weighted, scores, dates, settings, shown)
     return Course(evidence, threshold, alarm)
 
 
@@ -235,7 +233,7 @@ def _log_ratio(mean: Array, std: Array, spread: Array, effect: Score) -> Array:
 
 def _alarm(
     at: int, effects: Sequence[_OfEffect], weighted: Array, scores: Sequence[Sequence[Score]],
-    dates: Sequence[datetime], evidence: float, settings: WatchConfig, shown: Sequence[Shown],
+    dates: Sequence[datetime], settings: WatchConfig, shown: Sequence[Shown],
 ) -> Alarm:  # fmt: skip
     """What the evidence (H, 2, K) after a recording says."""
     of_effects = logsumexp(weighted, axis=(1, 2))
@@ -262,8 +260,8 @@ def _alarm(
     # what is there from a recording on began since the one before; what grows from a recording on, with the one before
     return Alarm(
         at, lead.score.name, lead.score.site, lead.score.unit, float(shares[best]), tuple(others), size, std, grows,
-        dates[max(day - grows, 0)], dates[max(early - 1, 0)], dates[max(min(late, at) - grows, 0)], evidence, sizes,
-        stds, _gone(at, size, sizes, stds), sum(lead.score.name in names for names in judged),
+        dates[max(day - grows, 0)], dates[max(early - 1, 0)], dates[max(min(late, at) - grows, 0)], sizes, stds,
+        _gone(at, size, sizes, stds), sum(lead.score.name in names for names in judged),
     )  # fmt: skip
 
 

@@ -11,7 +11,9 @@ from dataclasses import dataclass
 
 import pandas as pd
 
-PARAMETERS = ("A_egrmax", "A_vgtmax", "eta_sc", "h_tot")
+from dieseltwin.symbols import HEALTH_NAMES
+
+PARAMETERS = HEALTH_NAMES
 MINUTES = ("0-1", "1-2", "2-3", "3-4", "4-5")
 RUNS = 30
 """Independent runs behind every cell (paper)."""

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from dieseltwin.arrays import MAD_TO_STD, Array
+from dieseltwin.arrays import Array, robust_std
 from dieseltwin.errors import InputError
 from dieseltwin.petrol.blocks import BLOCK_S, Blocks, Grid, blocks_of, make_grid
 from dieseltwin.petrol.discover import judge
@@ -277,7 +277,7 @@ def learned_clocks_and_volumes(
 
 
 def _robust_std(x: Array) -> float:
-    return float(MAD_TO_STD * np.median(np.abs(x - np.median(x)))) if len(x) else float("nan")
+    return float(robust_std(x)) if len(x) else float("nan")
 
 
 def pieces(grid: Grid) -> list[tuple[float, float]]:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dieseltwin.discovery.likelihood.fit import Candidate, Fit, fit_fully
+from dieseltwin.discovery.likelihood.fit import Candidate, Fit
 from dieseltwin.discovery.search.alarms import raises_alarm
 from dieseltwin.discovery.search.courses import at_times
 from dieseltwin.discovery.search.explanations import choose
@@ -89,7 +89,7 @@ def began_rather(found: Search) -> None:
     other = at_times(found.twin, variant, variant.until_s, None, False)
     start = replace(fit, candidate=Candidate(fit.candidate.names, {variant.name: other.schedule}),
                     magnitudes=-fit.magnitudes)  # fmt: skip
-    both = [fit, fit_fully(found.twin, found.whitening, start, rounds=_MIRROR_ROUNDS, frozen=found.null).fit]
+    both = [fit, found.refitted(start, _MIRROR_ROUNDS)]
     if found.settings.in_own_metrics(found.gain(fit)):
         both = in_own_metrics(found, both)
     opposite = next(f for f in both if f.candidate.schedules[variant.name] is other.schedule)

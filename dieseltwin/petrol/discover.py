@@ -119,8 +119,7 @@ class PetrolDiscovery:
     @property
     def threshold(self) -> float:
         """Decrease of -2 log likelihood from which a single effect is reported [-]."""
-        s = self.search
-        return max(s.settings.alarm_gain, s.chance.threshold(s.settings.alarm_level))
+        return self.search.gain_of_alarm
 
 
 def judge(

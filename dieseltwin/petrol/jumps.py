@@ -6,7 +6,7 @@ import warnings
 
 import numpy as np
 
-from dieseltwin.arrays import MAD_TO_STD, Array
+from dieseltwin.arrays import Array, robust_std
 
 NEIGHBOURS = 7  # blocks
 OUTLIER = 4.0  # scales off its neighbours before and after: a tip-in, whatever the hypothesis
@@ -29,8 +29,7 @@ def _local_spread(values: Array) -> Array:
     """Robust standard deviation among NEIGHBOURS values about each: seconds in which a balance jumps weigh less."""
     half = NEIGHBOURS // 2
     some = np.lib.stride_tricks.sliding_window_view(np.pad(values, half, mode="edge"), NEIGHBOURS)
-    middle = np.median(some, axis=1)
-    return np.asarray(MAD_TO_STD * np.median(np.abs(some - middle[:, None]), axis=1))
+    return robust_std(some, axis=1)
 
 
 def _off_both_sides(values: Array) -> Array:

@@ -15,7 +15,7 @@ writes a first map. Everything is SI (and %, mg/cycle, rpm) after the reader.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -209,13 +209,16 @@ class ChannelMap:
             raise InputError(f"{self.source}: channel {name!r}", f"no such column in {where}", listed(list(names)),
                              did_you_mean(name, list(names)))
 
-    def refuse_unmet(self, name: str, entry: ChannelEntry, given: Iterable[str]) -> None:
-        """What a formula needs must be mapped too.
+    def refuse_unfit(self, name: str, entry: ChannelEntry, given: Collection[str], where: str) -> None:
+        """A column has one source, and what its formula needs must be mapped too.
 
         Raises:
-            InputError: it isn't.
+            InputError: it isn't so.
         """
-        absent = [need for need in entry.needs if need not in set(given)]
+        if entry.column in given:
+            raise InputError(f"{self.source}: channel {name!r}", f"{entry.column}, which {where} has already",
+                             "one source for each column", "drop one of the two")  # fmt: skip
+        absent = [need for need in entry.needs if need not in given]
         if absent:
             hint = " or give ambient_pa in this line" if absent[0] == "p_amb_pa" else ""
             raise InputError(f"{self.source}: channel {name!r}, via {entry.via}", f"no column {absent[0]}",
@@ -238,14 +241,7 @@ class ChannelMap:
             name: values for name, values in columns.items() if name not in self.entries
         }
         for name, entry in self.in_order():
-            if entry.column in renamed:
-                raise InputError(
-                    f"{self.source}: channel {name!r}",
-                    f"{entry.column}, which {where} has already",
-                    "one source for each column",
-                    "drop one of the two",
-                )
-            self.refuse_unmet(name, entry, renamed)
+            self.refuse_unfit(name, entry, renamed, where)
             values = entry.derived(entry.converted(columns[name]), renamed)
             renamed[entry.column], coded = without_codes(entry.column, columns[name], values)
             notes.extend(coded)

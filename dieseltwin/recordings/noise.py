@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from dieseltwin.arrays import MAD_TO_STD, Array
+from dieseltwin.arrays import Array, robust_std
 from dieseltwin.recordings.held import number_step, rows_between_readings
 
 SETTLED_NOISE: Mapping[str, float] = {
@@ -97,7 +97,7 @@ def white_sigma(values: Array) -> float:
     second = second[np.isfinite(second)]
     if second.size < 3:
         return float("nan")
-    return float(MAD_TO_STD * np.median(np.abs(second - np.median(second))) / np.sqrt(6.0))
+    return float(robust_std(second) / np.sqrt(6.0))
 
 
 def _bridged(values: Array) -> Array:

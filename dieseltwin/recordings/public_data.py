@@ -117,17 +117,17 @@ def cache_folder() -> Path:
     return xdg_cache_folder()
 
 
-def wanted(name: str, files: Mapping[str, DataFile] = FILES) -> list[DataFile]:
+def wanted(name: str) -> list[DataFile]:
     """The file of that name, or all files of the set of that name.
 
     Raises:
         InputError: neither is known.
     """
-    if name in files:
-        return [files[name]]
-    found = [f for f in files.values() if f.set_name == name]
+    if name in FILES:
+        return [FILES[name]]
+    found = [f for f in FILES.values() if f.set_name == name]
     if not found:
-        known = [*dict.fromkeys(f.set_name for f in files.values()), *files]
+        known = [*dict.fromkeys(f.set_name for f in FILES.values()), *FILES]
         raise unknown_name("NAME", name, known)
     return found
 

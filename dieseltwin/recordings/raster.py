@@ -46,14 +46,7 @@ def quantities(raw: RawChannels, mapping: ChannelMap) -> tuple[dict[str, Signal]
     for name, entry in mapping.in_order():
         if entry.column == TIME:
             continue  # every channel has its own times here
-        if entry.column in found:
-            raise InputError(
-                f"{mapping.source}: channel {name!r}",
-                f"{entry.column}, which {where} has already",
-                "one source for each column",
-                "drop one of the two",
-            )
-        mapping.refuse_unmet(name, entry, found)
+        mapping.refuse_unfit(name, entry, found, where)
         signal = raw.signals[name]
         time = _times(signal)
         beside = {need: _at(time, found[need]) for need in entry.needs}

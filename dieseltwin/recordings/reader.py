@@ -71,7 +71,6 @@ class Segment:
         inputs: engine inputs with `inputs.n_history` rows before t0_s (at most 2 s).
         measured: (n, C) sensors in the order of `engine.MEASURED` [SI], NaN where masked or absent.
         columns: every column of the recording over the n rows of the segment.
-        p_amb_pa, t_amb_k: ambient of this segment [Pa], [K].
     """
 
     t0_s: float
@@ -79,13 +78,6 @@ class Segment:
     inputs: Inputs
     measured: np.ndarray
     columns: Mapping[str, np.ndarray]
-    p_amb_pa: float
-    t_amb_k: float
-
-    @property
-    def time_s(self) -> np.ndarray:
-        """(n,) time of the rows of the segment, history left out [s]."""
-        return self.columns[TIME]
 
 
 @dataclass(frozen=True)
@@ -218,8 +210,6 @@ class Recording:
             inputs=Inputs(time[rows].copy(), n_e, u_delta, u_egr, u_vgt, start - before, self.start_s, **further),
             measured=np.where(np.isfinite(measured), measured, np.nan),
             columns=Columns(columns),
-            p_amb_pa=_median_or(columns.get("p_amb_pa"), self.p_amb_pa),
-            t_amb_k=_median_or(columns.get("t_amb_k"), self.t_amb_k),
         )
 
 

@@ -48,11 +48,7 @@ def circumstance_words(item: FoundCircumstance) -> str:
 
 def compressor_words(document: Discrepancy) -> list[str]:
     """What a learned engine's compressor does in weather that isn't that of its learning, in words."""
-    told = [
-        circumstance_words(item) if item.recording is None
-        else f"on {shown_day(document.recordings[item.recording - 1].date)} {circumstance_words(item)}"
-        for item in document.circumstances if kind_of(item.name) == CORRECTED
-    ]  # fmt: skip
+    told = [_on_its_day(document, item) for item in document.circumstances if kind_of(item.name) == CORRECTED]
     return [f"the weather isn't that in which the engine was learned: {listing(told)} (0 % is the published model); "
             "limits and intervals hold what that leaves open"] if told else []  # fmt: skip
 
@@ -71,12 +67,13 @@ def _with_deviation(value: float, std: float, decimals: int) -> str:
 
 def circumstances_words(document: Discrepancy) -> str:
     """All circumstances that are plainly others than assumed, empty where there is none."""
-    off = [
-        circumstance_words(item) if item.recording is None
-        else f"on {shown_day(document.recordings[item.recording - 1].date)} {circumstance_words(item)}"
-        for item in document.circumstances if item.off
-    ]  # fmt: skip
+    off = [_on_its_day(document, item) for item in document.circumstances if item.off]
     return listing(off) if off else ""
+
+
+def _on_its_day(document: Discrepancy, item: FoundCircumstance) -> str:
+    words = circumstance_words(item)
+    return words if item.recording is None else f"on {shown_day(document.recordings[item.recording - 1].date)} {words}"
 
 
 def blameless_words(document: Discrepancy) -> str:

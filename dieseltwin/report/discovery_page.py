@@ -7,10 +7,9 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from markupsafe import Markup
-
 from dieseltwin.discovery.verdict.curves import Discovery
 from dieseltwin.discovery.verdict.document import Discrepancy
+from dieseltwin.notes import OF_THE_FIT
 from dieseltwin.report import discovery_figures, discovery_residuals, findings, over_recordings, quantities
 from dieseltwin.report.discovery_words import sentence, unit_of
 from dieseltwin.report.encoding import Drawing, Drawn, drawn_here, drawn_in_two
@@ -18,8 +17,6 @@ from dieseltwin.report.interactive import discovery_series, still
 from dieseltwin.report.law_cards import law_cards
 from dieseltwin.report.page import Page, Section, kept_of, write_page
 from dieseltwin.report.style import ReportFigure
-
-_OF_THE_FIT = ("misfit", "residuals")  # warnings that stand above the page's findings
 
 
 def of_curves(found: Discovery) -> dict[str, Drawing]:
@@ -65,7 +62,7 @@ def discovery_sections(found: Discovery, drawn: Drawn = drawn_here) -> list[Sect
 
 def caution(document: Discrepancy) -> str:
     """What is doubtful about the fit, to stand above the findings; empty where nothing is."""
-    said = [doubt.text[:1].upper() + doubt.text[1:] for doubt in document.warnings if doubt.code in _OF_THE_FIT]
+    said = [doubt.text[:1].upper() + doubt.text[1:] for doubt in document.warnings if doubt.code in OF_THE_FIT]
     return "" if not said else ". ".join([*said, "Look at the residual maps before you believe what is found."])
 
 
@@ -76,8 +73,8 @@ def _page(found: Discovery, drawn: Drawn) -> Page:
         title=findings.heading(document),
         about=f"Recording: {Path(recording.path).name} · {recording.duration_s:.0f} s · {len(recording.channels)} "
         "sensors",
-        headline=Markup(quantities.with_symbols(sentence(document))), alarm=document.mismatch,
-        caution=Markup(quantities.with_symbols(caution(document))),
+        headline=quantities.with_symbols(sentence(document)), alarm=document.mismatch,
+        caution=quantities.with_symbols(caution(document)),
         findings=findings.findings(document), cards=law_cards(document),
         tables=(findings.places(document), findings.levels(document, "health parameter"), findings.fit(document)),
         sections=discovery_sections(found, drawn), provenance=findings.provenance(document),

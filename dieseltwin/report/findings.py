@@ -20,7 +20,8 @@ from dieseltwin.report.discovery_words import (
     over_recordings_words,
     site_words,
 )
-from dieseltwin.report.page import EMPTY, Table
+from dieseltwin.report.page import Table
+from dieseltwin.report.quantities import EMPTY
 from dieseltwin.report.visible_words import bias_words
 
 Unit = Callable[[str, str | None], tuple[str, float]]
@@ -66,7 +67,7 @@ def findings(
         if effect.equivalent_names and effect.split_by:
             equivalent += f"; {effect.split_by} would settle it"
         told = (when if timed is True or effect.name in timed else always,) if timed else ()
-        times = (Markup(quantities.with_symbols(text)) for text in told)
+        times = map(quantities.with_symbols, told)
         rows.append((effect.name, size, interval, quantities.probability(effect.probability),
                      _share(document, effect, shares), *times, equivalent))  # fmt: skip
     sentences = tuple(range(5, len(heads)))  # when, and what it can't be told from

@@ -18,7 +18,8 @@ from dieseltwin.notes import counted
 from dieseltwin.report import quantities, style
 from dieseltwin.report.discovery_words import magnitude_words
 from dieseltwin.report.history import DAY, by_itself
-from dieseltwin.report.page import EMPTY, Page, Section, Table
+from dieseltwin.report.page import Page, Section, Table
+from dieseltwin.report.quantities import EMPTY
 
 ALARM, LOOK, GONE, WELL, NOTHING = (
     "alarm", "last recording shows something", "was an alarm, is gone", "no change but wear", "no recording",
@@ -163,7 +164,7 @@ def page(engines: Sequence[OfEngine], said: str, links: Mapping[str, str]) -> Pa
     return Page(
         title="Engines with an alarm" if alarmed else "No engine has an alarm",
         about=f"{counted(len(engines), 'engine')} · {sum(len(one.entries) for one in engines)} recordings",
-        headline=Markup(quantities.with_symbols(said)), alarm=any(one.state in (ALARM, LOOK) for one in engines),
+        headline=quantities.with_symbols(said), alarm=any(one.state in (ALARM, LOOK) for one in engines),
         sections=(
             Section("engines", "Engines", words="Health is the change since each engine's reference by its last "
                     "recording, ± one standard deviation.",

@@ -7,7 +7,6 @@ from datetime import datetime
 
 import numpy as np
 import pandas as pd
-from markupsafe import Markup
 
 from dieseltwin.engine import HEALTH
 from dieseltwin.learning.alarm import Alarm, Course
@@ -181,7 +180,7 @@ def page(entries: Sequence[Entry], course: Course, said: str, taken_out: Sequenc
     return Page(
         title=_title(course.alarm, shows),
         about=f"{len(entries)} recordings · {hours:.3g} h of running engine",
-        headline=Markup(quantities.with_symbols(said)),
+        headline=quantities.with_symbols(said),
         alarm=course.alarm is not None or shows,
         sections=(
             Section("course", "Since the reference", tuple(figures)),

@@ -14,7 +14,8 @@ from dieseltwin.notes import counted
 from dieseltwin.report import captions, charts, quantities, style, timeseries, training, violins
 from dieseltwin.report.encoding import Drawn, drawn_here
 from dieseltwin.report.interactive import results_series, still
-from dieseltwin.report.page import EMPTY, Page, Section, Table, kept_of, marked, swatched
+from dieseltwin.report.page import Page, Section, Table, kept_of, marked, swatched
+from dieseltwin.report.quantities import EMPTY
 from dieseltwin.report.results import PARAMETERS, MethodResult, Results
 from dieseltwin.report.statistics import relative_error
 from dieseltwin.report.tables import headline, segment_table, summary_table

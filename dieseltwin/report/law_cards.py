@@ -105,8 +105,7 @@ def _card(effect: FoundEffect, document: Discrepancy, told: Told | None, judged:
     size = f"{name_markup(told.symbol)} = {told.size}" if told.symbol else ""
     known = ((s.name, s.meaning + ("" if s.unit == "-" else f" [{s.unit}]")) for s in symbols_in(" ".join(told.laws)))
     symbols = tuple((Markup(name_markup(name)), words) for name, words in told.symbols or known)
-    about, valid_for = (Markup(quantities.with_symbols(text.strip()))
-                        for text in (f"{told.about} {where}", effect.valid_for or ""))  # fmt: skip
+    about, valid_for = map(quantities.with_symbols, (f"{told.about} {where}".strip(), (effect.valid_for or "").strip()))
     return LawCard(told.title[:1].upper() + told.title[1:], about, _typeset(told.laws), Markup(size), symbols,
                    _sure(effect, judged), valid_for, law if law in told.laws else "")  # fmt: skip
 

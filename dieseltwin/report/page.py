@@ -17,7 +17,6 @@ from dieseltwin.report.interactive import Series
 from dieseltwin.report.law_cards import LawCard
 from dieseltwin.report.style import ReportFigure
 
-EMPTY = "–"
 COARSER_DPI = (85, 60)
 DIESEL = "Wahlström and Eriksson (2011), with the effects that `dieseltwin effects` lists"
 
@@ -141,7 +140,7 @@ def marked(text: str | Markup, kind: str) -> Markup:
 
 def shown_figure(figure: ReportFigure, content: bytes) -> dict[str, str]:
     """A figure as the template takes it."""
-    return {"name": figure.name, "title": figure.title, "caption": Markup(quantities.with_symbols(figure.caption)),
+    return {"name": figure.name, "title": figure.title, "caption": quantities.with_symbols(figure.caption),
             "uri": style.data_uri(content, figure.kind)}  # fmt: skip
 
 
@@ -177,7 +176,7 @@ def _rendered(
 ) -> str:
     loader = PackageLoader("dieseltwin.report")
     templates = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True)
-    templates.filters["marked"] = lambda text: Markup(quantities.with_symbols(text))
+    templates.filters["marked"] = quantities.with_symbols
     return templates.get_template("page.html.j2").render(
         page=page, sections=sections,
         stills={name: shown_figure(figure, encoded[figure.name]) for name, figure in stills.items()},

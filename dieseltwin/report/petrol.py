@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from markupsafe import Markup
 from matplotlib.figure import Figure
 from scipy.ndimage import median_filter
 
@@ -160,7 +159,7 @@ def petrol_page(found: PetrolDiscovery) -> Page:
     return Page(
         title=findings.heading(said), about=f"{found.engine.name} · recording: {Path(said.recording.path).name} · "
         f"{said.recording.duration_s:.0f} s · {len(said.recording.channels)} sensors",
-        headline=Markup(quantities.with_symbols(found.sentence)), alarm=said.mismatch,
+        headline=quantities.with_symbols(found.sentence), alarm=said.mismatch,
         findings=findings.findings(said), cards=law_cards(said, told),
         tables=(findings.places(said), findings.levels(said, "level against the calibration", shift=False), _fit(said)),
         sections=sections, provenance=findings.provenance(said), source=found.engine.source,

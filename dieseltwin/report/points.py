@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pandas as pd
-from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from dieseltwin.calibration.coefficients import BELIEFS
@@ -225,7 +224,7 @@ def points_page(result: PointsDiscovery, said: Discrepancy, words: str, implied:
     )
     return Page(
         title=findings.heading(said), about=f"{said.recording.path} · {points.size} settled points · "
-        f"{len(said.recording.channels)} sensors", headline=Markup(quantities.with_symbols(words)),
+        f"{len(said.recording.channels)} sensors", headline=quantities.with_symbols(words),
         alarm=said.mismatch, findings=findings.findings(said, shares(result), timed=False),
         cards=law_cards(said, judged="These points"),
         tables=(findings.places(said), findings.levels(said, "health parameter"), findings.fit(said)),

@@ -24,7 +24,7 @@ _SHOWN: dict[str, tuple[str, float]] = {
     "W/(m2 K)": ("W/(m² K)", 1.0),
     "-": ("–", 1.0),
 }
-_EMPTY = "–"
+EMPTY = "–"
 
 
 def known(name: str) -> Symbol | None:
@@ -94,7 +94,7 @@ def decimals_for(std: float) -> int:
 def value_with_std(name: str, mean: float, std: float, *, with_unit: bool = True) -> str:
     """``mean ± std`` [SI in] in the shown unit, e.g. ``300.1 ± 0.7 mm²``; two significant digits of the std."""
     if not math.isfinite(mean):
-        return _EMPTY
+        return EMPTY
     scale = factor(name)
     digits = decimals_for(std * scale)
     known_to = math.isfinite(std)
@@ -110,7 +110,7 @@ def before_unit(name: str, text: str) -> str:
 def significant(value: float, digits: int = 3) -> str:
     """``value`` with ``digits`` significant digits and no exponent in the range of everyday numbers."""
     if not math.isfinite(value):
-        return _EMPTY
+        return EMPTY
     if value == 0:
         return "0"
     places = max(0, digits - 1 - math.floor(math.log10(abs(value))))
@@ -120,7 +120,7 @@ def significant(value: float, digits: int = 3) -> str:
 def percent(value: float, *, signed: bool = False) -> str:
     """A ratio as percent: two decimals below 10 %, one below 100 %, none above."""
     if not math.isfinite(value):
-        return _EMPTY
+        return EMPTY
     size = 100 * abs(value)
     text = f"{size:.{2 if size < 10 else (1 if size < 100 else 0)}f}"
     sign = "" if float(text) == 0 else ("−" if value < 0 else ("+" if signed else ""))
@@ -130,7 +130,7 @@ def percent(value: float, *, signed: bool = False) -> str:
 def probability(value: float | None) -> str:
     """A probability [-] in per cent; never 0 or 100 %."""
     if value is None:
-        return _EMPTY
+        return EMPTY
     if value > 0.999:
         return "> 99.9 %"
     return "< 0.1 %" if value < 0.001 else f"{100 * value:.1f} %"
@@ -140,11 +140,11 @@ _CODE = re.compile(r"`([^`]*)`")
 _NAMES = re.compile(r"\b(" + "|".join(sorted(map(re.escape, SYMBOLS), key=len, reverse=True)) + r")\b")
 
 
-def with_symbols(text: str) -> str:
+def with_symbols(text: str) -> Markup:
     """HTML of a plain sentence: the nomenclature's names (``h_tot``) as symbols, what backticks enclose as code."""
     plain = _CODE.split(text)  # every second piece stood between backticks
     pieces = (f"<code>{escape(p)}</code>" if i % 2 else _symbols_in(escape(p)) for i, p in enumerate(plain))
-    return "".join(pieces)
+    return Markup("".join(pieces))
 
 
 def _symbols_in(html: str) -> str:

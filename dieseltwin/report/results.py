@@ -18,12 +18,13 @@ import pandas as pd
 
 from dieseltwin.discovery.verdict.health_value import SinceReference
 from dieseltwin.errors import InputError
+from dieseltwin.notes import OF_THE_FIT
 from dieseltwin.sealed import read_json
 from dieseltwin.settings.methods import known
 from dieseltwin.symbols import HEALTH_NAMES
 
 PARAMETERS = HEALTH_NAMES
-_OF_THE_FIT = ("misfit", "residuals")  # codes of warnings that stand before the numbers
+FILE_NAME = "identification.json"
 _WRITTEN = ("a JSON document", "write it again with `dieseltwin identify`")
 
 
@@ -82,7 +83,7 @@ class MethodResult:
     @property
     def misfit(self) -> str:
         """That the twin doesn't fit the recording, in a sentence without its full stop; empty where it does."""
-        return next((str(doubt["text"]) for doubt in self.warnings if doubt["code"] in _OF_THE_FIT), "")
+        return next((str(doubt["text"]) for doubt in self.warnings if doubt["code"] in OF_THE_FIT), "")
 
     @property
     def number_of_runs(self) -> int:
@@ -242,7 +243,7 @@ def _optional_table(path: Path) -> pd.DataFrame | None:
 def load_method(directory: Path) -> MethodResult:
     """Read what ``dieseltwin identify --out DIRECTORY`` wrote."""
     directory = Path(directory)
-    path = directory / "identification.json"
+    path = directory / FILE_NAME
     if not path.exists():
         raise InputError(
             str(directory),
@@ -271,7 +272,7 @@ def load_results(results_dir: Path) -> Results:
     """
     root = Path(results_dir)
     # not rglob: it doesn't enter linked folders, and a pipeline may link results instead of copying them
-    patterns = ("identification.json", "*/identification.json", "*/*/identification.json")
+    patterns = (FILE_NAME, f"*/{FILE_NAME}", f"*/*/{FILE_NAME}")
     folders = sorted({path.parent for pattern in patterns for path in root.glob(pattern)})
     if not folders:
         raise InputError(

@@ -16,7 +16,8 @@ from dieseltwin.report import findings
 from dieseltwin.report.discovery_words import magnitude_words
 from dieseltwin.report.interactive import Line, Mark, Panel, Series, repair_panels, still
 from dieseltwin.report.law_cards import Told, law_cards
-from dieseltwin.report.page import EMPTY, Page, Section, Table
+from dieseltwin.report.page import Page, Section, Table
+from dieseltwin.report.quantities import EMPTY
 from dieseltwin.report.style import AFTER, BEFORE, MEASURED
 from dieseltwin.rigs.discover import RigDiscovery
 from dieseltwin.rigs.equations import equations

@@ -17,6 +17,7 @@ from typing import Any, ParamSpec, TypeVar
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
@@ -245,8 +246,13 @@ def data_uri(content: bytes, kind: str) -> str:
     return f"data:{media};base64,{base64.b64encode(content).decode('ascii')}"
 
 
-def legend_columns(labels: Sequence[str], width_in: float) -> int:
-    """Columns of a figure's legend above its panels: one row where it fits into the width [in], else as few as do."""
+def legend_above(figure: Figure, handles: Sequence[Artist], width_in: float) -> None:
+    """A figure's legend above its panels: one row where it fits into the width [in], else as few as do."""
+    labels = [str(handle.get_label()) for handle in handles]
+    figure.legend(handles=list(handles), loc="outside upper center", ncols=_columns(labels, width_in))
+
+
+def _columns(labels: Sequence[str], width_in: float) -> int:
     wide = [0.5 + 0.083 * len(label) for label in labels]  # handle and gaps, then a letter at the house's size
     for rows in range(1, len(wide) + 1):
         columns = math.ceil(len(wide) / rows)

@@ -231,8 +231,7 @@ def trajectories(
     blind = any(
         not e.identifiable for m in results.methods for s in m.segments for e in s.parameters.values()
     )
-    ncols = style.legend_columns([str(handle.get_label()) for handle in handles], WIDTH_IN)
-    figure.legend(handles=handles, loc="outside upper center", ncols=ncols)
+    style.legend_above(figure, handles, WIDTH_IN)
     caption = f"{words} {captions.SEGMENTS}" + (f" {captions.ERRORS}" if known else "")
     caption += f" {captions.BLIND}" if known and blind else ""
     return style.ReportFigure(name, title, caption, figure, kind="png")

@@ -206,8 +206,7 @@ def violins(results: Results, *, close: bool = False) -> style.ReportFigure:
     )
     if any(not s.parameters[p].identifiable for m in results.methods for s in m.segments for p in PARAMETERS):
         handles.append(Patch(**style.BLIND, label="not identifiable here"))
-    columns = style.legend_columns([str(handle.get_label()) for handle in handles], WIDTH_IN)
-    figure.legend(handles=handles, loc="outside upper center", ncols=columns)
+    style.legend_above(figure, handles, WIDTH_IN)
     dots = sum(len(method.runs) for method in results.methods) // len(PARAMETERS)
     kind = "svg" if dots <= SVG_MAX_DOTS else "png"
     title = "Health parameters per segment"

@@ -175,7 +175,6 @@ class EmpiricalMaps:
         backend: str = "torch",
         member: int | Sequence[int] | None = None,
         *,
-        generator: torch.Generator | None = None,
         dtype: torch.dtype = torch.float64,
         slopes: bool = False,
     ) -> dict[str, Callable[..., Any]]:
@@ -184,7 +183,6 @@ class EmpiricalMaps:
         Args:
             backend: "torch" or "numpy".
             member: see `layers`. With several, the arguments are (..., R, n) or broadcast to that.
-            generator: torch only: a fresh dropout mask for every point and call, as printed; leaves `member` alone.
             dtype: torch only: of weights and results.
             slopes: torch only: compute first derivatives with the values (`map_layers.ClosedForm`), which is quicker
                 where they are wanted; without it any order is right.
@@ -192,7 +190,7 @@ class EmpiricalMaps:
         if backend not in ("torch", "numpy"):
             raise unknown_name("backend", backend, ["torch", "numpy"])
         make = self._torch_map if backend == "torch" else self._numpy_map
-        return {name: make(name, member, generator, dtype, slopes) for name in MAPS}
+        return {name: make(name, member, dtype, slopes) for name in MAPS}
 
     def _numpy_map(self, name: str, member: Any, *_: Any) -> Callable[..., np.ndarray]:
         form, item = bound_forms(self.kind, "numpy")[name], self.maps[name]
@@ -210,12 +208,10 @@ class EmpiricalMaps:
         evaluate.__name__ = name
         return evaluate
 
-    def _torch_map(
-        self, name: str, member: Any, generator: torch.Generator | None, dtype: torch.dtype, slopes: bool
-    ) -> Callable[..., Tensor]:
+    def _torch_map(self, name: str, member: Any, dtype: torch.dtype, slopes: bool) -> Callable[..., Tensor]:
         form, item = bound_forms(self.kind, "torch")[name], self.maps[name]
         layers = self.layers(name, member, dtype)
-        activation, dropout, hidden = item.network.activation, item.network.dropout, item.network.hidden
+        activation = item.network.activation
         limits = [
             (float(a) if np.isfinite(a) else None, float(b) if np.isfinite(b) else None)
             for a, b in zip(item.low, item.high, strict=True)
@@ -230,13 +226,7 @@ class EmpiricalMaps:
             ]
             x = torch.stack(inputs, dim=-1)
             lone = x.ndim == 1
-            x = x[None] if lone else x
-            masks: list[Tensor] = []
-            if generator is not None and dropout > 0.0:
-                keep = 1.0 - dropout
-                draws = [torch.rand((*x.shape[:-1], h), generator=generator, dtype=dtype) for h in hidden]
-                masks = [(u < keep).to(dtype) / keep for u in draws]
-            z = run(x, layers, activation, masks)
+            z = run(x[None] if lone else x, layers, activation)
             return form.output(z[0] if lone else z, tuple(inputs))
 
         evaluate.__name__ = name
@@ -262,13 +252,13 @@ class EmpiricalMaps:
         """Errors of the nominal maps as found after training: one row per map and recording, see `error_table`."""
         return pd.DataFrame(list(self.error_rows), columns=list(ERROR_COLUMNS))
 
-    def error_table(self, cases: Mapping[str, pd.DataFrame], *, uncertainty: bool = False) -> pd.DataFrame:
+    def error_table(self, cases: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
         """Errors of the nominal maps on clean recordings.
 
         Columns: kind, map, recording, n, `l2_rel` (relative L2 error), `mean_rel` (mean of |error| / |label|, labels
         below a hundredth of their mean counted as that), `bias_rel` (mean error / mean label), `max_rel` (largest error
-        / mean label), and with `uncertainty` `std_rel` (rms of the map's own standard deviation / mean label) and
-        `z_rms` (rms of error / own standard deviation: 1 is calibrated).
+        / mean label), `std_rel` (rms of the map's own standard deviation / mean label) and `z_rms` (rms of error / own
+        standard deviation: 1 is calibrated).
         """
         rows = []
         for recording, frame in cases.items():
@@ -276,28 +266,24 @@ class EmpiricalMaps:
             for name in MAPS:
                 rows.append(
                     {"kind": self.kind, "map": name, "recording": recording}
-                    | self._errors_of(name, arguments[name], frame[LABELS[name]].to_numpy(), uncertainty)
+                    | self._errors_of(name, arguments[name], frame[LABELS[name]].to_numpy())
                 )
         return pd.DataFrame(rows)
 
-    def _errors_of(
-        self, name: str, arguments: tuple[np.ndarray, ...], label: np.ndarray, uncertainty: bool
-    ) -> dict[str, Any]:
+    def _errors_of(self, name: str, arguments: tuple[np.ndarray, ...], label: np.ndarray) -> dict[str, Any]:
         error = self.evaluate(name, *arguments) - label
         size = float(np.mean(np.abs(label)))
-        row: dict[str, Any] = {
+        std = self.uncertainty(name, *arguments)
+        known = std > STD_SEEN * size  # at a cap or floor all members agree, and rightly so
+        return {
             "n": label.size,
             "l2_rel": float(np.linalg.norm(error) / np.linalg.norm(label)),
             "mean_rel": float(np.mean(np.abs(error) / np.maximum(np.abs(label), RELATIVE_FLOOR * size))),
             "bias_rel": float(np.mean(error) / np.mean(label)),
             "max_rel": float(np.max(np.abs(error)) / size),
+            "std_rel": float(np.sqrt(np.mean(std**2)) / size),
+            "z_rms": float(np.sqrt(np.mean((error[known] / std[known]) ** 2))) if known.any() else 0.0,
         }
-        if uncertainty:
-            std = self.uncertainty(name, *arguments)
-            known = std > STD_SEEN * size  # at a cap or floor all members agree, and rightly so
-            row["std_rel"] = float(np.sqrt(np.mean(std**2)) / size)
-            row["z_rms"] = float(np.sqrt(np.mean((error[known] / std[known]) ** 2))) if known.any() else 0.0
-        return row
 
     # --- files -------------------------------------------------------------------------------------------------
 

@@ -110,7 +110,7 @@ def train_maps(
     maps = fit(noisy, config, seed, parameters, progress or (lambda name, share: None))
     meta = {"seed": seed, "label_noise_rel": label_noise_rel, "rows": {n: s[1].size for n, s in noisy.items()}}
     trained = EmpiricalMaps(kind, maps, parameters, meta)
-    table = trained.error_table({**cases, **data.held_out}, uncertainty=True)
+    table = trained.error_table({**cases, **data.held_out})
     return EmpiricalMaps(kind, maps, parameters, meta, tuple(table.to_dict("records")))
 
 

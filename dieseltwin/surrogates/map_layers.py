@@ -27,26 +27,20 @@ def _sigmoid_like(z: Tensor, activation: str) -> tuple[Tensor, Tensor]:
     return z * r, r * r * r
 
 
-def network(x: Tensor, layers: Sequence[Layer], activation: str, masks: Sequence[Tensor] = ()) -> Tensor:
+def network(x: Tensor, layers: Sequence[Layer], activation: str) -> Tensor:
     """Output (..., n) at points (..., n, in); differentiable as often as wished."""
     act = ACTIVATIONS[activation]
-    for number, (weight, bias) in enumerate(layers[:-1]):
+    for weight, bias in layers[:-1]:
         x = act(torch.matmul(x, weight) + bias)
-        if masks:
-            x = x * masks[number]
     weight, bias = layers[-1]
     return (torch.matmul(x, weight) + bias)[..., 0]
 
 
-def network_and_slopes(
-    x: Tensor, layers: Sequence[Layer], activation: str, masks: Sequence[Tensor] = ()
-) -> tuple[Tensor, Tensor]:
+def network_and_slopes(x: Tensor, layers: Sequence[Layer], activation: str) -> tuple[Tensor, Tensor]:
     """Output (..., n) and its derivatives by the inputs (..., n, in), by one pass forth and one back."""
     slopes: list[Tensor] = []
-    for number, (weight, bias) in enumerate(layers[:-1]):
+    for weight, bias in layers[:-1]:
         x, slope = _sigmoid_like(torch.matmul(x, weight) + bias, activation)
-        if masks:
-            x, slope = x * masks[number], slope * masks[number]
         slopes.append(slope)
     weight, bias = layers[-1]
     value = (torch.matmul(x, weight) + bias)[..., 0]
@@ -66,9 +60,9 @@ class ClosedForm(torch.autograd.Function):
     generate_vmap_rule = True
 
     @staticmethod
-    def forward(x: Tensor, activation: str, n_layers: int, *tensors: Tensor) -> tuple[Tensor, Tensor]:
-        layers = [(tensors[2 * i], tensors[2 * i + 1]) for i in range(n_layers)]
-        return network_and_slopes(x, layers, activation, tensors[2 * n_layers :])
+    def forward(x: Tensor, activation: str, *tensors: Tensor) -> tuple[Tensor, Tensor]:
+        layers = list(zip(tensors[::2], tensors[1::2], strict=True))
+        return network_and_slopes(x, layers, activation)
 
     @staticmethod
     def setup_context(ctx: Any, inputs: Any, output: Any) -> None:
@@ -90,10 +84,10 @@ class ClosedForm(torch.autograd.Function):
         return (tangent * slopes).sum(-1), None
 
 
-def closed_form(x: Tensor, layers: Sequence[Layer], activation: str, masks: Sequence[Tensor] = ()) -> Tensor:
+def closed_form(x: Tensor, layers: Sequence[Layer], activation: str) -> Tensor:
     """As `network`, cheaper where first derivatives are taken."""
     tensors = [t for layer in layers for t in layer]
-    return ClosedForm.apply(x, activation, len(layers), *tensors, *masks)[0]
+    return ClosedForm.apply(x, activation, *tensors)[0]
 
 
 def numpy_network(x: np.ndarray, layers: Sequence[tuple[np.ndarray, np.ndarray]], activation: str) -> np.ndarray:

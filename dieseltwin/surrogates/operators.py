@@ -108,17 +108,14 @@ class ActuatorOperators:
     egr: Operator
     vgt: Operator
 
-    def predict(self, inputs: Inputs, initial_pct: Sequence[float] | None = None) -> ActuatorStates:
-        """Actuator states at the samples of a segment.
+    def predict(self, inputs: Inputs) -> ActuatorStates:
+        """Actuator states at the samples of a segment, from rest at the first row of its history.
 
         Args:
-            inputs: with the input history before the segment, if any.
-            initial_pct: u_egr1, u_egr2, u_vgt at the segment's start [%]. None runs the operators over the history,
-                from rest at its first row; without a history the actuators rest at the segment's start.
+            inputs: with the input history before the segment, if any; without it the actuators rest at its start.
         """
-        given = (None, None) if initial_pct is None else (np.asarray(initial_pct[:2]), np.asarray(initial_pct[2:3]))
-        u_egr = _follow(self.egr, inputs, inputs.u_egr_pct, given[0])
-        u_vgt = _follow(self.vgt, inputs, inputs.u_vgt_pct, given[1])
+        u_egr = _follow(self.egr, inputs, inputs.u_egr_pct)
+        u_vgt = _follow(self.vgt, inputs, inputs.u_vgt_pct)
         return ActuatorStates(u_egr[:, 0], u_egr[:, 1], u_vgt[:, 0])
 
     def errors(self, recording: pd.DataFrame) -> dict[str, float]:
@@ -364,7 +361,7 @@ def _finish(network: CausalityDeepONet, data: _Rows, common: OperatorsConfig, ge
         network.set_last_layer(k, (start + change.reshape(start.shape)).to(network.offset.dtype))
 
 
-def _follow(operator: Operator, inputs: Inputs, u_pct: np.ndarray, initial: np.ndarray | None) -> np.ndarray:
+def _follow(operator: Operator, inputs: Inputs, u_pct: np.ndarray) -> np.ndarray:
     """States (n, outputs) [%] at the samples of a segment: windows one after the other, from the history's start."""
     u_pct = np.clip(u_pct, *operator.limits_pct)
     time, dt = inputs.segment_time_s, operator.sample_s
@@ -373,12 +370,11 @@ def _follow(operator: Operator, inputs: Inputs, u_pct: np.ndarray, initial: np.n
     def delayed(t: np.ndarray) -> np.ndarray:
         return np.interp(t - operator.delay_s, inputs.time_s, u_pct)
 
-    if initial is None:
-        # whole samples of the history, so that the grid meets the segment's start
-        before = math.floor((time[0] - inputs.time_s[0]) / dt + 0.5 / operator.network.n_times)
-        grid = time[0] + dt * np.arange(-before, 1)
-        state = np.full((1, outputs), delayed(grid[:1])[0])
-        initial = state[0] if before == 0 else _windows(operator, delayed(grid), state)[-1]
+    # whole samples of the history, so that the grid meets the segment's start
+    before = math.floor((time[0] - inputs.time_s[0]) / dt + 0.5 / operator.network.n_times)
+    grid = time[0] + dt * np.arange(-before, 1)
+    state = np.full((1, outputs), delayed(grid[:1])[0])
+    initial = state[0] if before == 0 else _windows(operator, delayed(grid), state)[-1]
     grid = time[0] + dt * np.arange(math.ceil((time[-1] - time[0]) / dt - 0.5 / operator.network.n_times) + 1)
     states = _windows(operator, delayed(grid), np.asarray(initial, dtype=np.float64)[None, :])
     return np.stack([np.interp(time, grid, states[:, k]) for k in range(outputs)], axis=1)

@@ -31,14 +31,15 @@ from dieseltwin.recordings.reader import recording
 from tests.api.learned import learned_file
 from tests.api.simulated import drive
 from tests.calibration.simulated import made_points
+from tests.pages import without_pictures
 
 
 def test_an_engine_is_learned_saved_and_taken(tmp_path: Path) -> None:
-    healthy = drive(150.0, we2011.PARAMETERS.replace(eta_cmax=0.72, A_egrmax=3.6e-4))
+    healthy = drive(100.0, we2011.PARAMETERS.replace(eta_cmax=0.72, A_egrmax=3.6e-4))
     found = dt.learn([healthy], map_error=0.02)
     table = found.table()
     assert len(table) > 0 and (table["known_to_pct"] < 0.5 * table["believed_pct"]).all()
-    assert found.sentence.startswith("Learned from 2.5 minutes") and "<table" in found._repr_html_()
+    assert found.sentence.startswith("Learned from 1.7 minutes") and "<table" in found._repr_html_()
     assert any(line.startswith("  A_egrmax") and " mm² ±" in line for line in found.lines())
     assert len(found.plot().axes) == 1
     file = found.save(tmp_path / "mine.yaml")
@@ -79,6 +80,8 @@ def test_the_recording_that_fits_worst_is_refused(tmp_path: Path) -> None:
     assert refused({"earlier": 2.5, "0": 1.1, "1": 1.2, "2": 1.7}) == "2.csv"  # what came last made it so
     assert refused({"earlier": 2.5, "0": 1.1, "1": 1.2, "2": 1.1}) == "recording"
     assert refused({"earlier": 1.6, "0": 1.1, "1": 1.2, "2": 1.1}) is None
+    with pytest.raises(InputError, match="got nan times"):  # a simulation that runs away leaves no number
+        _check_misfits(replace(known, misfits={known.recordings[0].sha256: float("nan")}), [1.6])
 
 
 def test_recordings_that_tell_nothing_are_refused(tmp_path: Path) -> None:
@@ -142,7 +145,8 @@ def test_the_repaired_engine_keeps_what_was_learned(tmp_path: Path) -> None:
     worn = we2011.PARAMETERS.replace(A_vgtmax=0.9 * we2011.PARAMETERS.A_vgtmax, terms=(leak,))
     found = dt.discover(drive(150.0, worn, seed=31), learned_file(tmp_path))
     assert [effect.name for effect in found.document.effects] == ["boost_leak"]
-    found.save(tmp_path / "found")
+    with without_pictures():
+        found.save(tmp_path / "found")
     again = drive(120.0, worn, seed=32)
     given, file = (cast(DrivingQuestion, ask(again, one)) for one in (found, tmp_path / "found" / "engine.yaml"))
     assert given.known is not None and file.known is not None and given.known.found == file.known.found
@@ -225,7 +229,7 @@ def test_a_copy_counts_once_whatever_its_line_ends(tmp_path: Path) -> None:
     one, copy = tmp_path / "one.csv", tmp_path / "copy.csv"
     drive(70.0, we2011.PARAMETERS).to_csv(one, index=False)
     copy.write_bytes(one.read_bytes().replace(b"\n", b"\r\n"))
-    assert len(dt.learn([one, copy]).known.recordings) == len(dt.learn([copy, one]).known.recordings) == 1
+    assert len(dt.learn([one, copy]).known.recordings) == 1
 
 
 def test_what_another_learned_meanwhile_is_not_lost(tmp_path: Path) -> None:

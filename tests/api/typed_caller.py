@@ -1,4 +1,5 @@
-"""A caller of the front door as a user writes it; `mypy --strict` has to pass, and notices what is wrong with it."""
+"""A caller of the front door as a user writes it, and as one does who is wrong: `make check` takes the first and
+notices the second, whose lines say which error is expected (pyproject.toml)."""
 
 from __future__ import annotations
 
@@ -21,3 +22,10 @@ def main() -> None:
     learned = dt.learn(["healthy.csv"], map_error=0.02)
     print(where, sentence, again.table(), health.table(), calibrated.engine, implied.plot(), learned.engine)
     dt.show_versions()
+
+
+def wrong() -> None:
+    dt.engin("we2011")  # type: ignore[attr-defined]
+    found = dt.discover("drive.csv", seed="one")  # type: ignore[arg-type]
+    sentence: int = found.sentence  # type: ignore[assignment]
+    print(sentence, found.sentense, dt.identify())  # type: ignore[attr-defined, call-arg]

@@ -43,11 +43,6 @@ def run(capfd: pytest.CaptureFixture[str]) -> Run:
 
 
 @pytest.fixture(scope="module")
-def trace(project_root: Path) -> pd.DataFrame:
-    return pd.read_csv(project_root / "tests" / "reference" / "field_random_300s.csv")
-
-
-@pytest.fixture(scope="module")
 def field_engine(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The engine that the trace was made with."""
     path = tmp_path_factory.mktemp("engine") / "field.yaml"
@@ -284,6 +279,7 @@ def test_states_are_a_table_over_all_samples(identified: Path, trace: pd.DataFra
 def test_runtime_holds_what_may_differ(identified: Path) -> None:
     runtime = json.loads((identified / "runtime.json").read_text())
     assert {"seconds_per_run", "versions", "params_sha256", "recording_sha256"} <= set(runtime)
+    assert runtime["seed"] == 3
 
 
 @pytest.mark.usefixtures("no_figures")

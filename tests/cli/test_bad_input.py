@@ -25,9 +25,8 @@ KELVIN = 273.15
 
 
 @pytest.fixture(scope="module")
-def good(project_root: Path) -> pd.DataFrame:
+def good(trace: pd.DataFrame) -> pd.DataFrame:
     """Two minutes of a reference trace as a recording."""
-    trace = pd.read_csv(project_root / "tests" / "reference" / "field_random_300s.csv")
     return trace.loc[trace["time_s"] <= 120.0, COLUMNS].copy()
 
 

@@ -20,7 +20,7 @@ from dieseltwin.discovery import discover as core
 from dieseltwin.discovery.verdict import checks
 from dieseltwin.discovery.verdict.curves import Discovery
 from dieseltwin.discovery.verdict.document import Discrepancy, load_discrepancy
-from dieseltwin.engine import EngineParameters, Inputs, load_engine, simulate, we2011
+from dieseltwin.engine import Inputs, load_engine, simulate, we2011
 from dieseltwin.engine.effects import EFFECTS, SITES
 from dieseltwin.engine.map_corrections import basis
 from dieseltwin.engine.terms import Term, with_corrections
@@ -30,29 +30,10 @@ from dieseltwin.report import discovery_page
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "report"))
 import synthetic_discovery as synthetic
 
-NOISE = {"p_im_pa": 5e3, "p_em_pa": 6e3, "omega_t_rad_s": 60.0, "w_egr_kg_s": 0.0015, "t_em_k": 20.0, "w_c_kg_s": 0.005}
+from tests.api.simulated import NOISE, drive
+
 SENSORS = list(NOISE)
 Run = Callable[..., tuple[int, list[str], str]]
-
-
-def drive(
-    seconds: float = 90.0, *, still: bool = False, seed: int = 5, engine: EngineParameters = we2011.PARAMETERS
-) -> pd.DataFrame:
-    """A noisy recording of an engine at 5 Hz over slow random driving, or over none."""
-    rng = np.random.default_rng(seed)
-    time_s = np.arange(0.0, seconds + 0.1, 0.2)
-
-    def walk(low: float, high: float, every_s: float) -> np.ndarray:
-        knots = rng.uniform(low, high, int(seconds / every_s) + 3)
-        return np.interp(time_s, np.arange(knots.size) * every_s, knots)
-
-    inputs = [walk(900, 1800, 9.0), walk(60, 200, 6.0), walk(0, 60, 8.0), walk(30, 80, 7.0)]
-    if still:
-        inputs = [np.full(time_s.size, value) for value in (1300.0, 110.0, 20.0, 50.0)]
-    table = simulate(Inputs(time_s, *inputs), engine, oxygen=False)
-    for name, sigma in NOISE.items():
-        table[name] += sigma * rng.standard_normal(time_s.size)
-    return table[["time_s", "n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct", *SENSORS]]
 
 
 @dataclass
@@ -109,7 +90,7 @@ def run(capfd: pytest.CaptureFixture[str]) -> Run:
 
 @pytest.fixture(scope="module")
 def table() -> pd.DataFrame:
-    return drive()
+    return drive(90.0)
 
 
 @pytest.fixture(scope="module")
@@ -226,7 +207,7 @@ REFUSED: dict[str, tuple[Callable[[pd.DataFrame], pd.DataFrame], str]] = {
     "constant sensor": (lambda t: t.assign(p_em_pa=2.1e5), "column p_em_pa: got constant (210000 in every row)"),
     "status word": (lambda t: t.assign(w_egr_kg_s=np.where(t.time_s % 2 < 1, 0.0, 0.1)), "only 2 different readings"),
     "silent sensor": (lambda t: t.assign(t_em_k=t.t_em_k.where(t.time_s < 20)), "a reading in 22 % of the rows"),
-    "no excitation": (lambda t: drive(still=True), "not enough excitation"),
+    "no excitation": (lambda t: drive(90.0, still=True), "not enough excitation"),
     "one input": (lambda t: t.assign(n_e_rpm=1300.0, u_egr_pct=20.0, u_vgt_pct=50.0), "not enough excitation"),
 }
 

@@ -18,9 +18,8 @@ COLUMNS = ["time_s", "n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct", "p_im_pa
 
 
 @pytest.fixture
-def inputs(project_root: Path, tmp_path: Path) -> Path:
-    table = pd.read_csv(project_root / "tests" / "reference" / "field_random_300s.csv")[COLUMNS].iloc[:200]
-    table.to_csv(tmp_path / "inputs.csv", index=False)
+def inputs(trace: pd.DataFrame, tmp_path: Path) -> Path:
+    trace[COLUMNS].iloc[:200].to_csv(tmp_path / "inputs.csv", index=False)
     return tmp_path / "inputs.csv"
 
 

@@ -113,6 +113,7 @@ def test_a_fault_in_the_reference_is_said(folder: Path, tmp_path: Path, capsys: 
     assert known is not None and any("the reference itself looks like" in text for text in known.doubts)
 
 
+@pytest.mark.thorough
 def test_a_reference_of_a_larger_engine_is_told_by_its_charge(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     driving = draw_driving("random", 100.0, LABORATORY, np.random.default_rng(4))
     larger = run_plant(driving, LABORATORY | {"V_d": 1.3 * LABORATORY["V_d"]})

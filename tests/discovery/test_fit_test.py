@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -20,25 +19,23 @@ INPUTS = ["time_s", "n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct"]
 
 
 @pytest.fixture(scope="module")
-def clean(project_root: Path) -> pd.DataFrame:
+def clean(trace: pd.DataFrame) -> pd.DataFrame:
     """Two minutes with the paper's noise."""
-    return driven(project_root, 1.0)
+    return driven(trace, 1.0)
 
 
-def driven(project_root: Path, share: float) -> pd.DataFrame:
+def driven(trace: pd.DataFrame, share: float) -> pd.DataFrame:
     """Two minutes with a share of the paper's noise."""
-    trace = pd.read_csv(project_root / "tests" / "reference" / "field_random_300s.csv").iloc[:601]
-    rng = np.random.default_rng(8)
+    rng, trace = np.random.default_rng(8), trace.iloc[:601]
     made = trace[INPUTS].copy()
     for name in MEASURED[:5]:
         made[name] = trace[name] + share * NOISE[name] * trace[name].mean() * rng.standard_normal(len(trace))
     return made
 
 
-def test_sound_recordings_raise_no_doubt(clean: pd.DataFrame, project_root: Path) -> None:
+def test_sound_recordings_raise_no_doubt(clean: pd.DataFrame, trace: pd.DataFrame) -> None:
     assert dt.identify(clean, runs=1).warnings == []
-    exact = pd.read_csv(project_root / "tests" / "reference" / "field_random_300s.csv").iloc[:601]
-    assert dt.identify(exact, runs=1).warnings == []
+    assert dt.identify(trace.iloc[:601], runs=1).warnings == []
 
 
 def test_a_short_hole_in_an_input_is_no_reason_not_to_test(clean: pd.DataFrame) -> None:
@@ -87,8 +84,8 @@ def test_what_is_too_short_is_said_to_be_untested(clean: pd.DataFrame) -> None:
     assert [note.code for note in short.notes] == ["untested"] and not short.health
 
 
-def test_health_beside_tolerances_holds_the_truth_where_sensors_are_off_within_theirs(project_root: Path) -> None:
-    quiet = driven(project_root, 0.1)
+def test_health_beside_tolerances_holds_the_truth_where_sensors_are_off_within_theirs(trace: pd.DataFrame) -> None:
+    quiet = driven(trace, 0.1)
     off = quiet.assign(p_em_pa=1.005 * quiet["p_em_pa"], p_im_pa=0.996 * quiet["p_im_pa"], t_em_k=quiet["t_em_k"] + 2.0)
     told = dt.identify(off, runs=1)
     assert told.warnings == []
@@ -111,7 +108,7 @@ def test_more_driving_averages_no_tolerance_away(clean: pd.DataFrame, monkeypatc
     assert both["A_vgtmax"].std > 0.9 * alone["A_vgtmax"].std
 
 
-def test_no_health_beside_tolerances_where_it_could_not_hold(clean: pd.DataFrame, project_root: Path) -> None:
+def test_no_health_beside_tolerances_where_it_could_not_hold(clean: pd.DataFrame) -> None:
     faulty = examine(recording(clean.assign(p_em_pa=1.08 * clean["p_em_pa"])), we2011.PARAMETERS, MEASURED[:5])
     assert faulty.notes and not faulty.health
     # 2.5 times the engine file's h_tot, beyond what the search allows: the fit would stop at its limit

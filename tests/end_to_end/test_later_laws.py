@@ -25,6 +25,9 @@ def _discovered(fault: Fault) -> tuple[Discovery, str]:
     (effect,), location = found.document.effects, found.document.location
     assert effect.name == NONE_OF_THESE and effect.law is not None and location is not None
     assert location.onset_s == pytest.approx(SINCE_S, abs=3.0) and not found.document.more_is_missing
+    assert location.onset_range_s is not None
+    low, high = location.onset_range_s
+    assert low <= SINCE_S <= high < low + 10.0 and low <= location.onset_s <= high
     return found, location.site
 
 

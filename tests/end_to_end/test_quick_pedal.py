@@ -21,13 +21,13 @@ NOISE = (0.001, 0.001, 0.00075, 0.005, 0.001, 0.0025)  # of each channel's mean
 
 
 def _recorded_at_5_hz(effects: dict[str, float]) -> Recording:
-    """Three minutes; fuel goes down to nothing within 0.1 s for half a second at a time, as at a change of gear."""
+    """Two minutes; fuel goes down to nothing within 0.1 s for half a second at a time, as at a change of gear."""
     rng = np.random.default_rng(21)
-    driving = draw_driving("random", 180.0, we2011.PARAMETERS.model_dump(), np.random.default_rng(20))
+    driving = draw_driving("random", 120.0, we2011.PARAMETERS.model_dump(), np.random.default_rng(20))
     slow = pd.DataFrame(driving.columns())
     time_s = np.arange(0.0, float(slow["time_s"].iloc[-1]), 0.04)
     fine = pd.DataFrame({"time_s": time_s, **{name: np.interp(time_s, slow["time_s"], slow[name]) for name in INPUTS}})
-    for start in np.sort(rng.uniform(0.0, time_s[-1], 45)):
+    for start in np.sort(rng.uniform(0.0, time_s[-1], 30)):
         away = np.clip(np.minimum(time_s - start, start + 0.5 - time_s) / 0.1, 0.0, 1.0)
         fine["u_delta_mg"] *= 1.0 - 0.95 * away
     simulated = dt.simulate(fine, effects=effects).table()

@@ -77,11 +77,10 @@ print(json.dumps(told))
 
 
 @pytest.fixture(scope="module")
-def told(grown: Path, run_grown: Callable[..., str], project_root: Path) -> dict[str, Any]:
+def told(grown: Path, run_grown: Callable[..., str], trace: pd.DataFrame) -> dict[str, Any]:
     """What the library says of the column that it has got."""
     columns = ["time_s", "n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct", "p_im_pa", "p_em_pa", "omega_t_rad_s"]
-    table = pd.read_csv(project_root / "tests" / "reference" / "field_random_300s.csv")[columns].iloc[:401]
-    table.to_csv(grown / "drive.csv", index=False)
+    trace[columns].iloc[:401].to_csv(grown / "drive.csv", index=False)
     result: dict[str, Any] = json.loads(run_grown("-c", PROOF).splitlines()[-1])
     return result
 

@@ -40,10 +40,9 @@ def test_one_file_is_listed_a_candidate_and_told(run_grown: Callable[..., str]) 
     assert proof["candidate"] == 0.01 and "a loss by swirl of 5.0 ± 1.0 % at 2000 rpm" in proof["told"]
 
 
-def test_one_file_is_simulated(grown: Path, run_grown: Callable[..., str], project_root: Path) -> None:
+def test_one_file_is_simulated(grown: Path, run_grown: Callable[..., str], trace: pd.DataFrame) -> None:
     columns = ["time_s", "n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct", "p_im_pa", "p_em_pa", "omega_t_rad_s"]
-    table = pd.read_csv(project_root / "tests" / "reference" / "field_random_300s.csv")[columns].iloc[:60]
-    table.to_csv(grown / "in.csv", index=False)
+    trace[columns].iloc[:60].to_csv(grown / "in.csv", index=False)
     simulate = ("-m", "dieseltwin", "simulate", "in.csv", "--out", "out.csv")
     run_grown(*simulate, "--effect", "swirl_loss=0.2")
     out = pd.read_csv(grown / "out.csv")

@@ -34,7 +34,7 @@ def test_batch_equals_single_runs_and_threads_change_nothing(field_trace) -> Non
     again = simulate_states(actuation, batch, initial, threads=1)
     assert np.array_equal(together.states, again.states)
     for lane in (0, 7, 8, 18):
-        one = parameter_batch(engine, A_egrmax=batch.column("A_egrmax")[[lane]], eta_sc=batch.column("eta_sc")[[lane]])
+        one = replace(batch, values=batch.values[:, [lane]])
         alone = simulate_states(actuation, one, initial)
         np.testing.assert_allclose(together.states[lane], alone.states[0], rtol=1e-9)
         np.testing.assert_allclose(together.measured[lane], alone.measured[0], rtol=1e-7, atol=1e-9)

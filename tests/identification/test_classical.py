@@ -24,7 +24,7 @@ Drive = Callable[..., Inputs]
 factors = st.tuples(st.floats(0.75, 1.25), st.floats(0.75, 1.25), st.floats(0.92, 1.08), st.floats(0.75, 1.25))
 
 
-@settings(max_examples=4, deadline=None, derandomize=True)
+@settings(max_examples=2, deadline=None, derandomize=True)
 @given(factors)
 def test_planted_parameters_are_recovered_from_clean_readings(
     simulated: Make, drive: Drive, factor: tuple[float, ...]

@@ -107,7 +107,6 @@ def test_defects_carry_the_heads_to_the_exact_solution(planted: SegmentProblem) 
     path = setting.heads.trajectory(unknowns[:, :-4])
     point = setting.exact(path.states, unknowns[:, -4:], setting.inputs, derivatives=False)
     plain = path.rates - point.rates
-    assert bool(found.valid.all())
     assert ((plain - found.rate).abs().median(1).values < 0.05 * plain.abs().median(1).values).all()
     predicted = torch.cat([path.states, point.readings], -1)
     readings = torch.tensor(np.nan_to_num(planted.measured))[None]

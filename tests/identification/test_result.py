@@ -33,7 +33,7 @@ def segment(
 
 def whole(*segments: SegmentEstimate) -> Identification:
     """An identification of given segments."""
-    return Identification("classical", segments, (), 0, 1.0, 0.25)
+    return Identification("classical", segments, (), 1.0, 0.25)
 
 
 def test_pooling_weights_by_inverse_variance() -> None:

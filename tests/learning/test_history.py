@@ -195,7 +195,7 @@ def test_dates_are_compared_as_moments():
 def test_an_alarm_says_where_the_last_recording_by_itself_says_another_name() -> None:
     entries = [entry(0), entry(1)]
     alarm = Alarm(1, "exhaust_leak", "exhaust_mass_balance", "m2", 1.0, (), 13e-6, 1e-6, True, entries[0].moment,
-                  entries[0].moment, entries[1].moment, 400.0, np.array([0.0, 13e-6]), np.full(2, 1e-6))  # fmt: skip
+                  entries[0].moment, entries[1].moment, np.array([0.0, 13e-6]), np.full(2, 1e-6))  # fmt: skip
     told = Course(np.array([0.3, 400.0]), 50.0, alarm)
     for verdict, said in (("boost_leak", True), ("healthy", False), ("exhaust_leak", False)):
         words = sentence([entries[0], replace(entries[1], verdict=verdict)], told, 0.02)
@@ -210,7 +210,7 @@ def test_an_alarm_says_what_became_of_it() -> None:
     entries = [entry(k) for k in range(4)]
     sizes = np.array([0.0, 13e-6, 13e-6, 0.2e-6])
     alarm = Alarm(1, "exhaust_leak", "exhaust_mass_balance", "m2", 1.0, (), 13e-6, 1e-6, False, entries[1].moment,
-                  entries[0].moment, entries[1].moment, 400.0, sizes, np.full(4, 1e-6), 3)  # fmt: skip
+                  entries[0].moment, entries[1].moment, sizes, np.full(4, 1e-6), 3)  # fmt: skip
     told = Course(np.full(4, 400.0), 50.0, alarm)
     words = sentence(entries, told, 0.02)
     assert f"since the recording of {entries[3].moment:%Y-%m-%d} it isn't there any more (0.2 ± 1.0 mm²" in words
@@ -302,7 +302,7 @@ def test_the_page_of_an_alarm_shows_its_size_and_no_look_alikes() -> None:
     other = Score("blow_by", "exhaust_mass_balance", "-", 0.01, True, 0.9, 0.01, np.zeros(5))  # 90 deviations
     entries = [replace(one, scores=(*one.scores, other)) for one in entries]
     alarm = Alarm(1, "boost_leak", "intake_mass_balance", "m2", 1.0, (), 13e-6, 1e-6, False, entries[1].moment,
-                  entries[0].moment, entries[1].moment, 400.0, np.array([0.0, 13e-6, 15e-6]),
+                  entries[0].moment, entries[1].moment, np.array([0.0, 13e-6, 15e-6]),
                   np.full(3, 1e-6))  # fmt: skip
 
     def titles(course: Course) -> list[str]:

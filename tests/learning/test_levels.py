@@ -26,7 +26,7 @@ def test_the_shape_of_a_map_says_nothing_of_the_health_that_it_is_one_product_wi
     area = prior.health[1]
     response[:, 1] = 1.0 / area
     information = response.T @ response / 1e-3**2
-    belief = combined(prior, [Evidence(information, information @ prior.mean, 1.0, 400, 400.0, np.inf, 0.0)])
+    belief = combined(prior, [Evidence(information, information @ prior.mean, 1.0, 400.0, np.inf)])
     believed = RMS * np.linalg.norm(along.mean(axis=1))  # of the mean of the map's error, before any reading
     by_shape = np.sqrt(belief.covariance[1, 1]) / area
     said = np.sqrt(np.diag(without_shape(belief, prior, {"W_t": along}))) / prior.health
@@ -39,7 +39,7 @@ def test_what_readings_tell_of_health_alone_stays():
     prior = prior_belief(we2011.PARAMETERS, RMS)
     information = np.zeros_like(prior.covariance)
     information[3, 3] = (0.01 * prior.health[3]) ** -2
-    belief = combined(prior, [Evidence(information, information @ prior.mean, 1.0, 1, 1.0, np.inf, 0.0)])
+    belief = combined(prior, [Evidence(information, information @ prior.mean, 1.0, 1.0, np.inf)])
     along = np.ones((np.count_nonzero(basis().maps == CORRECTED_POINTS.index("f_egr")), 3))
     said = without_shape(belief, prior, {"f_egr": along})
     assert said[3, 3] == pytest.approx(belief.covariance[3, 3])

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 import torch
-from segments import PAPER
+from segments import PAPER, REFERENCE
+from segments import make_problem as problem_of
 from torch import Tensor
 
-from dieseltwin.engine import HEALTH, MEASURED, Inputs, actuate, simulate, we2011
+from dieseltwin.engine import HEALTH, Inputs, actuate, we2011
 from dieseltwin.errors import InputError
 from dieseltwin.identification.bound import IDENTIFIABLE_BELOW
 from dieseltwin.identification.identify import identify_segments
-from dieseltwin.identification.problem import NoiseLevels, SegmentProblem
+from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.unknowns import to_masked, to_physical
 from dieseltwin.paper.loop_settings import PinnConfig, Stage
 from dieseltwin.paper.loops import baseline
@@ -26,7 +26,6 @@ from dieseltwin.paper.loops.few_shot_program import make_program
 from dieseltwin.paper.loops.pinn_networks import StateNetworks
 from dieseltwin.settings.params import IdentifyConfig, StartConfig
 
-REFERENCE = Path(__file__).parents[1] / "reference" / "field_random_300s.csv"
 RATES = (1e-2, 1e-2, 1e-2)
 
 
@@ -35,13 +34,7 @@ def make_problem(first: int, rows: int = 61) -> SegmentProblem:
     trace = pd.read_csv(REFERENCE).iloc[first : first + rows]
     columns = [trace[name].to_numpy() for name in ("time_s", "n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")]
     inputs = Inputs(*columns).clipped(we2011.PARAMETERS)
-    frame = simulate(inputs, we2011.FIELD, oxygen=False)
-    measured = frame[list(MEASURED)].to_numpy(copy=True)
-    sigma = NoiseLevels.from_signals(measured).sigma
-    measured[:, MEASURED.index("w_c_kg_s")] = np.nan
-    start = frame[["p_im_pa", "p_em_pa", "omega_t_rad_s", "x_r", "t_1_k"]].to_numpy()[0]
-    t0_s, t1_s = columns[0][0], columns[0][-1]
-    return SegmentProblem(t0_s, t1_s, inputs, measured, sigma, we2011.PARAMETERS, true_initial=start)
+    return problem_of(inputs, we2011.FIELD, noise_seed=None)
 
 
 @pytest.fixture(scope="module")

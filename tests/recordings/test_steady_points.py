@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -13,14 +11,13 @@ from dieseltwin.recordings.moving import roughness
 from dieseltwin.recordings.named_columns import import_columns
 from dieseltwin.recordings.steady_points import JUDGED, SteadyPoints, read_points
 
-REFERENCE = Path(__file__).parents[1] / "reference" / "field_random_300s.csv"
 COLUMNS = ["n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct", "p_im_pa", "p_em_pa", "omega_t_rad_s", "w_c_kg_s"]
 
 
 @pytest.fixture(scope="module")
-def drive() -> pd.DataFrame:
+def drive(trace: pd.DataFrame) -> pd.DataFrame:
     """Five minutes at 5 Hz."""
-    return pd.read_csv(REFERENCE)[COLUMNS]
+    return trace[COLUMNS]
 
 
 def grid(speeds: int = 12, loads: int = 12) -> pd.DataFrame:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -13,7 +11,6 @@ from dieseltwin.recordings.guess.physics import exhaust_line
 from dieseltwin.recordings.reader import recording
 from dieseltwin.recordings.unit_checks import unit_notes
 
-REFERENCE = Path(__file__).parents[1] / "reference" / "field_random_300s.csv"
 P_AMB = 101_300.0
 WRONG = {
     "p_im_pa": ("gauge", lambda x: x - P_AMB, "p_im_pa comes down to"),
@@ -26,9 +23,8 @@ WRONG = {
 
 
 @pytest.fixture(scope="module")
-def drive() -> pd.DataFrame:
-    frame = pd.read_csv(REFERENCE)
-    return frame[[name for name in frame if name != "torque_nm"]].assign(p_amb_pa=P_AMB)
+def drive(trace: pd.DataFrame) -> pd.DataFrame:
+    return trace.assign(p_amb_pa=P_AMB)
 
 
 def test_a_good_recording_has_no_such_notes(drive):

@@ -21,12 +21,12 @@ RATE = 0.02
 DECAY = 1e-3
 
 
-def train(bound: Bound, fit: HealthFit, filtered: np.ndarray, seed: int = 0) -> Net:
+def train(bound: Bound, fit: HealthFit, filtered: np.ndarray) -> Net:
     """A net from states and inputs to the filtered biases over the first 70 % of the recording.
 
     A filter's biases lag and carry noise, so the share of the net's output is the one that simulates those rows best.
     """
-    net = _regressed(bound, filtered, seed)
+    net = _regressed(bound, filtered)
     last = round(TRAIN_SHARE * bound.time_s.size)
     last = int(bound.starts[np.searchsorted(bound.starts, last)])
     best, chosen = float(np.sum(fit.residual[:last] ** 2)), Net.zero()
@@ -39,7 +39,7 @@ def train(bound: Bound, fit: HealthFit, filtered: np.ndarray, seed: int = 0) -> 
     return chosen
 
 
-def _regressed(bound: Bound, filtered: np.ndarray, seed: int) -> Net:
+def _regressed(bound: Bound, filtered: np.ndarray) -> Net:
     import torch
 
     torch.set_num_threads(1)
@@ -50,7 +50,7 @@ def _regressed(bound: Bound, filtered: np.ndarray, seed: int) -> Net:
     targets = filtered[rows, 3:]
     middle, spread = inputs.mean(axis=0), inputs.std(axis=0) + 1e-9
     scale = targets.std(axis=0) + 1e-12
-    generator = torch.Generator().manual_seed(seed)
+    generator = torch.Generator().manual_seed(0)
     x = torch.tensor((inputs - middle) / spread, dtype=torch.float32)
     t = torch.tensor(targets / scale, dtype=torch.float32)
     w1 = (torch.randn(HIDDEN, NET_INPUTS, generator=generator) * 0.5).requires_grad_()

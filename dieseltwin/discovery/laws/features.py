@@ -77,7 +77,7 @@ class Feature:
 
 @dataclass(frozen=True)
 class Structure:
-    """A feature's linear estimate: coefficient in the point's unit, its std, and its gain.
+    """A feature's linear estimate: coefficient in the point's unit, and its gain.
 
     Attributes:
         response: (n, C) of the readings per unit.
@@ -86,7 +86,6 @@ class Structure:
 
     feature: Feature
     coefficient: float
-    std: float
     gain: float
     response: Array
     held: float
@@ -258,5 +257,5 @@ def _scored(at: Linearisation, features: Sequence[Feature], responses: Array) ->
             if feature.whole and gain <= 0.0:
                 continue
             held = gain * spread(at, vector)
-            found.append(Structure(feature, coefficient, information**-0.5, gain, response, held))
+            found.append(Structure(feature, coefficient, gain, response, held))
     return sorted(found, key=lambda item: -item.gain)

@@ -184,16 +184,15 @@ class Factor:
             return np.interp(time_s - shape, time_s, x)
         return played(x, shape)
 
-    def operated(self, shape: float, std: float | None = None) -> str:
+    def operated(self, std: float | None = None) -> str:
         """What an operator makes of its variable, in words: "play[u_egr, 5.3 ± 0.1 %]"."""
         unit = self.units[0] if self.kind == "play" else "s"
         spread = "" if std is None else f" ± {std:.2g}"
-        return f"{self.kind.replace('_', ' ')}[{self.variables[0]}, {shape:.3g}{spread} {unit}]"
+        return f"{self.kind.replace('_', ' ')}[{self.variables[0]}, {self.shape:.3g}{spread} {unit}]"
 
-    def text(self, shape: float | None = None) -> str:
+    def text(self) -> str:
         """As printed in a law."""
-        s = self.shape if shape is None else shape
-        x = self.variables[0]
+        s, x = self.shape, self.variables[0]
         size = f"{self.references[0]:.3g} {self.units[0]}".replace(" -", "") if self.references else ""
         raised = "" if s == 1.0 else f"^{s:.3g}"
         if self.kind == "power":
@@ -247,11 +246,6 @@ class Form:
     since_s: float | None = None
 
     @property
-    def variables(self) -> tuple[str, ...]:
-        """Names of all variables, sorted."""
-        return tuple(sorted({name for factor in self.factors for name in factor.variables}))
-
-    @property
     def operator(self) -> bool:
         """Holds an operator with memory."""
         return any(factor.operator for factor in self.factors)
@@ -285,9 +279,9 @@ class Form:
             total = total * factor.value(at, shape if i == 0 else None)
         return total
 
-    def text(self, shape: float | None = None) -> str:
+    def text(self) -> str:
         """Without the coefficient; empty for a constant."""
-        return " ".join(factor.text(shape if i == 0 else None) for i, factor in enumerate(self.factors))
+        return " ".join(factor.text() for factor in self.factors)
 
 
 def operators(point: Point, unit: str) -> list[Factor]:

@@ -88,6 +88,11 @@ class Law:
         """From when on it acts, in the time of the twin [s]; None: always."""
         return self.faults[0].since_s if self.faults else self.placed[0].form.since_s
 
+    def since(self, time_s: float) -> Law:
+        """The same law from another time on [s]."""
+        placed = (replace(term, form=replace(term.form, since_s=time_s)) for term in self.placed)
+        return replace(self, placed=tuple(placed), faults=tuple(replace(one, since_s=time_s) for one in self.faults))
+
     def on(self, twin: Twin) -> tuple[Twin, Fit]:
         """The twin with the law inside, and the fit of its parameters with the law's."""
         if self.faults:
@@ -247,18 +252,18 @@ def _complexity(refit: Refit) -> int:
     return sum(1 + law.form.complexity for law in refit.twin.laws)
 
 
-def law_text(twin: Twin, form: Form, coefficient: float, shape: float | None = None, std: float | None = None) -> str:
+def law_text(twin: Twin, form: Form, coefficient: float, std: float | None = None) -> str:
     """"point: +1.2e-3 kg/s (p_im/p_amb)^0.5"; `std` is the coefficient's, or the shape's where that alone is free."""
     point = twin.points[point_index(twin.points, form.point)]
     if form.fixed is not None:
         factor = form.factors[0]
-        return f"{point.name} becomes {factor.operated(factor.shape if shape is None else shape, std)}"
+        return f"{point.name} becomes {factor.operated(std)}"
     spread = "" if std is None else f" ± {std:.2g}"
     if form.amount:
         return f"added to {point.name}: {coefficient:.4g}{spread} {form.factors[0].units[0]}"
     unit = "" if point.unit == "-" else f" {point.unit}"
     kind = "relative change of" if point.relative else "added to"
-    return f"{kind} {point.name}: {coefficient:.4g}{spread}{unit} {form.text(shape)}".rstrip()
+    return f"{kind} {point.name}: {coefficient:.4g}{spread}{unit} {form.text()}".rstrip()
 
 
 def _leading_points(twin: Twin, refits: Sequence[Refit]) -> tuple[str, ...]:

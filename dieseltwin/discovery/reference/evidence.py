@@ -25,19 +25,15 @@ class Evidence:
         information: (D, D) in inverse squared units of the coordinates, without any prior, about what all say.
         vector: (D,) information times the point at which the factor is largest.
         misfit: squared whitened residual at the estimate over `freedom`; 1 for an engine that the maps can describe.
-        readings: number of readings used.
-        freedom: of these, what is left beside all that the fit could follow them with.
+        freedom: of the readings, what is left beside all that the fit could follow them with.
         noise_from: degrees of freedom from which its noise is known; infinite where rows tell it.
-        left_out: share of the windows in which what is believed doesn't act linearly, which were not used.
     """
 
     information: Array
     vector: Array
     misfit: float
-    readings: int
     freedom: float
     noise_from: float
-    left_out: float
 
 
 @dataclass(frozen=True)

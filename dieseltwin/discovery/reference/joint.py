@@ -171,8 +171,7 @@ class Joint:
             information = 0.5 * (own + own.T) / across
             vector = information @ mean + (at.projected @ rest) / self.scale
             misfit = float(rest @ rest) / freedom
-            found.append(Evidence(information, vector, misfit, part.readings, freedom, part.noise_from,
-                                  float(part.left_out.mean())))  # fmt: skip
+            found.append(Evidence(information, vector, misfit, freedom, part.noise_from))
         return tuple(found)
 
     def suspicions(self, least_gain: float) -> tuple[Suspicion, ...]:

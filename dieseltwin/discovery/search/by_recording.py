@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, fit_fully, simulate_fits
+from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, simulate_fits
 from dieseltwin.discovery.likelihood.refit import refit_all
 from dieseltwin.discovery.search.alone import refits_alone, with_own_readings
 from dieseltwin.discovery.search.state import Search
@@ -79,7 +79,7 @@ def refitted(found: Search, starts: Sequence[Start]) -> tuple[Search, list[Start
     ended.sort(key=lambda pair: pair[1].objective)
     if ended:
         start, fit = ended[0]
-        ended[0] = start, fit_fully(found.twin, found.whitening, fit, rounds=_ROUNDS, frozen=found.null).fit
+        ended[0] = start, found.refitted(fit, _ROUNDS)
     for start, fit in ended:
         if start.profile is None:
             others = [other for other in found.singles if other.candidate.names != (start.name,)]

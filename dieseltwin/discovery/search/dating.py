@@ -16,6 +16,8 @@ from typing import cast
 
 import numpy as np
 
+from dieseltwin.discovery.laws.search import Law
+from dieseltwin.discovery.laws.twin import of_base
 from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, simulate_fits
 from dieseltwin.discovery.likelihood.learned import LearnedTwin
 from dieseltwin.discovery.likelihood.metric import Whitening, covariance_of
@@ -24,9 +26,11 @@ from dieseltwin.discovery.search.courses import at_times
 from dieseltwin.discovery.search.preparation import recentred
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.search.variants import Variant
-from dieseltwin.discovery.twins.interface import Array, OverRecordings, rows_of
+from dieseltwin.discovery.twins.interface import Array, OverRecordings, Twin, rows_of
 
-WithDate = Callable[[float], Variant]
+Tried = Callable[[Sequence[float]], Array]
+"""What explanations leave (D,) with an edge at each of some times of the twin [s]."""
+
 Ranges = dict[str, tuple[float, float]]
 
 _AS_GOOD = 4.0  # of -2 log likelihood: two standard deviations
@@ -37,17 +41,20 @@ _RASTER_S = 1.0  # of the dates that the search tries: one that is off by less i
 
 
 def date_edges(found: Search) -> None:
-    """The range of dates of an onset and of an end that a chosen explanation has.
+    """The range of dates of an onset and of an end that a chosen explanation or a law has.
 
-    Where windows near them were left out, they are dated with those. Where another date is better by more than the
-    search's raster, the explanation is refitted there.
+    Where windows near them were left out, an explanation is dated with those. Where another date is better by more than
+    the search's raster, it is refitted there. A law has been refitted at other dates already.
     """
-    variant, best = found.variant, found.best
-    if found.kind != "variant" or variant is None or best is None or variant.onset_s is None:
-        return
     if isinstance(found.twin, OverRecordings):
         return
     clock, within = time.perf_counter(), _AS_GOOD * found.widening
+    if found.kind == "law" and found.since_s is not None:
+        found.onset_range_s = _range_of_law(found, found.since_s, within)
+        found.seconds["dates"] = time.perf_counter() - clock
+    variant, best = found.variant, found.best
+    if found.kind != "variant" or variant is None or best is None or variant.onset_s is None:
+        return
     ranges, dated = _ranges(best, variant, within)
     if _unseen(found, ranges.values()):
         ranges, dated = _dated_with_all_readings(found, best, variant, within)
@@ -77,15 +84,25 @@ def objectives(at: Linearisation, variants: Sequence[Variant], without: Array) -
         variants: its effect with other edges.
         without: as of `without_effect`.
     """
-    twin, size = at.twin, float(at.fit.magnitudes[0])
-    simulated = simulate_fits(twin, [_with_course(at.fit, variant) for variant in variants])
-    left = at.metric.project(np.nan_to_num(twin.measured - simulated))
+    simulated = simulate_fits(at.twin, [_with_course(at.fit, variant) for variant in variants])
+    return _weighed(at, simulated, without, float(at.fit.magnitudes[0]), len(at.twin.parameters))
+
+
+def _weighed(at: Linearisation, simulated: Array, without: Array, size: float, known: int) -> Array:
+    """What is left (D,) of simulations (D, n, C) once what the linearisation has free has moved linearly.
+
+    Args:
+        at: about the explanation; without: as of `without_effect`.
+        size: of the effect in the simulations [unit], which moves as well.
+        known: the first so many of the parameters move: what stands behind them is that size.
+    """
+    left = at.metric.project(np.nan_to_num(at.twin.measured - simulated))
     acting = (without - left) / size
-    rows, known = left.shape[1], len(twin.parameters)
+    rows = left.shape[1]
     prior = np.sqrt(at.precision[:known]) * at.pulled_residual[rows : rows + known]
     information = np.empty((known + 1, known + 1))
     information[:known, :known] = at.projected[:known] @ at.projected[:known].T + np.diag(at.precision[:known])
-    found = np.full(len(variants), np.inf)
+    found = np.full(len(simulated), np.inf)
     ran = np.array([bool(np.isfinite(each).all()) for each in simulated])
     for k in np.flatnonzero(ran):
         information[known, :known] = information[:known, known] = at.projected[:known] @ acting[k]
@@ -105,34 +122,59 @@ def _ranges(at: Linearisation, variant: Variant, within: float) -> tuple[Ranges,
     onset, until, without = float(variant.onset_s or 0.0), variant.until_s, without_effect(at)
     found: Ranges = {}
     last = variant.gone[-1][1] if variant.gone else onset
+    def tried(times: Sequence[float], dated: Callable[[float], Variant]) -> Array:
+        return objectives(at, [dated(time_s) for time_s in times], without)
+
     if onset > first_s:
         end = variant.gone[0][0] if variant.gone else until
         begins = partial(at_times, at.twin, variant, until_s=until, grows=variant.grows, gone=variant.gone)
-        edge = _Edge(at, without, begins, first_s, end)
+        edge = _Edge(at.twin, partial(tried, dated=begins), first_s, end)
         found["onset_s"] = edge.range_about(onset, within)
         onset = edge.best
     if until is not None:
         ends = partial(at_times, at.twin, variant, onset, grows=False, gone=variant.gone)
-        edge = _Edge(at, without, ends, max(last, onset), None)
+        edge = _Edge(at.twin, partial(tried, dated=ends), max(last, onset), None)
         found["until_s"] = edge.range_about(until, within)
         until = edge.best
     return found, at_times(at.twin, variant, onset, until, variant.grows, variant.gone)
+
+
+def _range_of_law(found: Search, since_s: float, within: float) -> tuple[float, float]:
+    """Between which dates a law began.
+
+    Windows that were left out tell nothing: where one lies at an end of the range, the law may have begun within it.
+    """
+    law, twin = cast(Law, found.law), found.twin
+    with_law, fit = law.on(twin)
+    at, known = Linearisation(with_law, found.whitening, fit, None, found.null.nuisance_response), len(twin.parameters)
+    without = at.metric.project(np.nan_to_num(twin.measured - twin.simulate(of_base(fit.lanes(), twin))))[0]
+
+    def tried(times: Sequence[float]) -> Array:
+        simulated = [law.since(date).on(twin)[0].simulate(fit.lanes())[0] for date in times]
+        return _weighed(at, np.stack(simulated), without, 1.0, known)
+
+    low, high = _Edge(twin, tried, float(twin.time_s[0]), None).range_about(since_s, within)
+    low, high = min(low, since_s), max(high, since_s)
+    while len(hidden := _hidden_at(found, [(low, high)])):
+        begins, ends = hidden[:, 0].min(), hidden[:, 1].max()
+        if begins >= low and ends <= high:
+            break
+        low, high = min(low, begins), max(high, ends)
+    return float(low), float(high)
 
 
 class _Edge:
     """Objectives of an explanation over the date of one of its edges.
 
     Args:
-        at: the explanation; without: as of `without_effect`.
-        with_date: the variant with the edge at a time of the twin.
+        twin: whose rows and windows the dates are.
+        tried: what is left with the edge at some times.
         after_s, before_s: limits of the edge; None: the recording's end.
     """
 
-    def __init__(
-        self, at: Linearisation, without: Array, with_date: WithDate, after_s: float, before_s: float | None
-    ) -> None:
-        self.at, self.without, self.with_date = at, without, with_date
-        time_s = at.twin.time_s
+    def __init__(self, twin: Twin, tried: Tried, after_s: float, before_s: float | None) -> None:
+        self.twin, self.tried = twin, tried
+        time_s = twin.time_s
         last = float(time_s[-1]) if before_s is None else before_s
         inside = np.flatnonzero((time_s > after_s) & (time_s < last))
         self.rows = inside[2:-2]  # an effect of a row or two isn't any
@@ -140,12 +182,12 @@ class _Edge:
 
     def range_about(self, time_s: float, within: float) -> tuple[float, float]:
         """Between which dates lie all whose objective is within so much of the best."""
-        times = self.at.twin.time_s
+        times = self.twin.time_s
         start = int(np.searchsorted(times, time_s))
         if self.rows.size < 2:
             return time_s, time_s
         self._try([start])
-        grid = np.array([row for row in self.at.twin.starts if self.rows[0] <= row <= self.rows[-1]])
+        grid = np.array([row for row in self.twin.starts if self.rows[0] <= row <= self.rows[-1]])
         below, above = grid[grid < start][::-1], grid[grid > start]
         while below.size or above.size:
             self._try([*below[:_AT_ONCE], *above[:_AT_ONCE]])
@@ -169,7 +211,7 @@ class _Edge:
     @property
     def best(self) -> float:
         """The best date that was tried [s]."""
-        return float(self.at.twin.time_s[self.best_row])
+        return float(self.twin.time_s[self.best_row])
 
     @property
     def best_row(self) -> int:
@@ -180,21 +222,26 @@ class _Edge:
         return bool(rows.size) and min(self.known[int(row)] for row in rows[-2:]) <= limit
 
     def _try(self, rows: Sequence[int]) -> None:
-        times = self.at.twin.time_s
-        values = objectives(self.at, [self.with_date(float(times[row])) for row in rows], self.without)
+        times = self.twin.time_s
+        values = self.tried([float(times[row]) for row in rows])
         self.known.update({int(row): float(value) for row, value in zip(rows, values, strict=True)})
 
 
 def _unseen(found: Search, ranges: Iterable[tuple[float, float]]) -> bool:
     """Whether a window that was left out lies in a range or next to it."""
-    if found.hidden is None or not found.left_out.any():
-        return False
+    return found.hidden is not None and len(_hidden_at(found, ranges)) > 0
+
+
+def _hidden_at(found: Search, ranges: Iterable[tuple[float, float]]) -> Array:
+    """Begin and end (N, 2) of the windows that were left out and lie in a range or next to it [s]."""
+    if not found.left_out.any():
+        return np.zeros((0, 2))
     times = found.twin.time_s
     begins = times[found.twin.starts]
-    ends = np.append(begins[1:], times[-1])
+    spans = np.column_stack([begins, np.append(begins[1:], times[-1])])[found.left_out]
     step = float(np.median(np.diff(times)))
-    return any(((begins[found.left_out] <= high + step) & (ends[found.left_out] >= low - step)).any()
-               for low, high in ranges)  # fmt: skip
+    near = [(spans[:, 0] <= high + step) & (spans[:, 1] >= low - step) for low, high in ranges]
+    return np.asarray(spans[np.logical_or.reduce(near)] if near else spans[:0])
 
 
 def _with_all_readings(found: Search, but: np.ndarray) -> Search:

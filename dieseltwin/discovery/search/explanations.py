@@ -19,7 +19,7 @@ from dieseltwin.discovery.laws.final_fit import signals_of
 from dieseltwin.discovery.laws.search import Law
 from dieseltwin.discovery.laws.twin import LawTwin
 from dieseltwin.discovery.laws.unnamed import best_term
-from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, fit_fully
+from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation
 from dieseltwin.discovery.likelihood.refit import refit_all, widen
 from dieseltwin.discovery.likelihood.score import Scored, best_of_each, effect_responses, score, secant_sizes, spread
 from dieseltwin.discovery.search.courses import has_parts
@@ -343,8 +343,7 @@ def polish(found: Search, fits: Sequence[Fit], count: int = _POLISHED) -> list[F
     out = []
     for k, fit in enumerate(fits):
         if k < count and fit.objective < best + reach and found.gain(fit) > 4.0:
-            polished = fit_fully(found.twin, found.whitening, fit, rounds=_POLISH_ROUNDS, frozen=found.null).fit
-            out.append(polished)
+            out.append(found.refitted(fit, _POLISH_ROUNDS))
         else:
             out.append(fit)
     out.sort(key=lambda fit: fit.objective)

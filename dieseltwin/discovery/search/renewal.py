@@ -66,7 +66,7 @@ def _renew(found: Search, kind: str, lead: Fit) -> None:
     """Everything that was compared, in the metric of a health-only fit with the maps about one explanation."""
     fresh = prepared_about(found, lead)
     bar = found.null.fit.objective - _IN_REACH * found.gain(lead)
-    first = fit_fully(fresh.twin, fresh.whitening, lead, rounds=_ROUNDS, frozen=fresh.null).fit
+    first = fresh.refitted(lead, _ROUNDS)
     move = partial(_moved, found, fresh, first=(lead, first), bar=bar)
     fresh.singles = _by_objective(move(found.singles))
     fresh.pairs = _by_objective(move(found.pairs))

@@ -8,11 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 
-import numpy as np
-
-from dieseltwin.discovery.laws.features import Structure, scored_since
-from dieseltwin.discovery.laws.sensor import laws_in_turn
-from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, fit_fully
+from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation
 from dieseltwin.discovery.likelihood.learned import belief_of
 from dieseltwin.discovery.likelihood.refit import nearer, refit_all
 from dieseltwin.discovery.likelihood.score import best_of_each
@@ -33,10 +29,8 @@ from dieseltwin.discovery.search.circumstances import (
     weather_is_settled,
     with_reading_in_time,
 )
-from dieseltwin.discovery.search.courses import has_parts
 from dieseltwin.discovery.search.dating import date_edges
 from dieseltwin.discovery.search.explanations import (
-    beyond_law,
     choose,
     choose_so_far,
     pair_beats_single,
@@ -45,18 +39,17 @@ from dieseltwin.discovery.search.explanations import (
     try_more_pairs,
     try_pairs,
 )
+from dieseltwin.discovery.search.nameless import look_for_law
 from dieseltwin.discovery.search.preparation import (
     lower_without,
     prepare,
     prepared_about,
     recentred,
-    tolerance_responses,
 )
 from dieseltwin.discovery.search.quick_inputs import is_made_again, likelier, with_inputs_between_rows
 from dieseltwin.discovery.search.renewal import BENDS, about_the_leader
 from dieseltwin.discovery.search.standing import explain_standing
 from dieseltwin.discovery.search.state import Search
-from dieseltwin.discovery.search.sums import best_onset
 from dieseltwin.discovery.search.variant_fits import scan_all, try_variants
 from dieseltwin.discovery.time_limit import OutOfTimeError, time_limit
 from dieseltwin.discovery.twins.interface import OverRecordings, Twin
@@ -307,7 +300,7 @@ def _unstuck(found: Search, fit: Fit) -> Fit:
     """
     if fit.converged or found.gain(fit) > 0.0:
         return fit
-    return fit_fully(found.twin, found.whitening, fit, rounds=_UNSTUCK_ROUNDS, frozen=found.null).fit
+    return found.refitted(fit, _UNSTUCK_ROUNDS)
 
 
 def _nameless(found: Search) -> None:
@@ -320,14 +313,14 @@ def _with_law(found: Search) -> Search:
     assumed, then, where the law asks for another, in that of the fit without any; whichever explains more."""
     other = in_assumed_weather(found)
     if other is None:
-        _law(found)
+        look_for_law(found)
         return found
     here = _in_short(other, found.settings, found.earlier)
     if here.kind == "law":
-        _law(here)
+        look_for_law(here)
         if here.law is not None and weather_is_settled(here):
             return here
-    _law(found)
+    look_for_law(found)
     return _better_law(found, here) if here.kind == "law" else found
 
 
@@ -342,42 +335,10 @@ def _with_reading_in_time(found: Search) -> Search:
     here = _in_short(other, found.settings, found.earlier)
     if here.kind != "law":
         return found
-    _law(here)
+    look_for_law(here)
     return _better_law(found, here)
 
 
 def _better_law(one: Search, other: Search) -> Search:
     """The search whose law explains more of the readings that both use."""
     return likelier(one, other, lambda found: 0.0 if found.law is None else found.law.score)
-
-
-def _law(found: Search) -> None:
-    """A law where one is resolved, and what it leaves: one that is there from the first row on, or, where that explains
-    more by what an onset must add, from later on."""
-    clock = time.perf_counter()
-    terms = found.everything_unnamed()
-    _law_of(found, terms, None)
-    least = found.settings.variant_gain
-    if terms and has_parts(found.twin):
-        since_s = best_onset(found.null, terms, found.settings.least_share)
-        later = scored_since(found.null, terms, since_s)
-        if later and later[0].gain > terms[0].gain + 0.5 * least:
-            _law_of(found, later, since_s, least + (0.0 if found.law is None else found.law.score))
-    found.seconds["law"] = time.perf_counter() - clock
-
-
-def _law_of(found: Search, terms: Sequence[Structure], since_s: float | None, least: float = -np.inf) -> None:
-    """A law that is there from a time on, and what it leaves, in place of a known one if it explains more than `least`.
-
-    Where it leaves more than it should, points whose linear gains are small are looked at, too: what a large effect
-    does isn't linear. A back pressure, 28 % of the best one's, was a law of the turbine's efficiency.
-    """
-    laws = laws_in_turn(found.twin, found.null, terms,
-                        lambda here: tolerance_responses(here.twin, here, found.settings), since_s)  # fmt: skip
-    for resolved in laws:
-        law = resolved.report() if resolved.score > least else None
-        if law is not None:
-            found.law, least = law, law.score
-            found.left, found.left_local = beyond_law(found, law)
-        if not found.more_is_missing():
-            break

@@ -11,7 +11,7 @@ from scipy.special import logsumexp
 
 from dieseltwin.discovery.laws.features import Structure
 from dieseltwin.discovery.laws.search import Law
-from dieseltwin.discovery.likelihood.fit import Fit, Linearisation
+from dieseltwin.discovery.likelihood.fit import Fit, Linearisation, fit_fully
 from dieseltwin.discovery.likelihood.metric import ModelScatter, Whitening
 from dieseltwin.discovery.likelihood.nuisance import Nuisance
 from dieseltwin.discovery.likelihood.score import Chance, Scored
@@ -120,9 +120,17 @@ class Search:
             return 0.0 if self.law is None else self.law.gain
         return 0.0 if self.best is None else max(self.gain(fit) for fit in self._chosen())
 
+    def refitted(self, fit: Fit, rounds: int) -> Fit:
+        """A fit carried on with sensitivities of every round, in the metric of the health-only fit."""
+        return fit_fully(self.twin, self.whitening, fit, rounds=rounds, frozen=self.null).fit
+
+    def fits_of(self, kind: str) -> list[Fit]:
+        """Fits of all explanations of a kind."""
+        return {"pair": self.pairs, "variant": [fit for _, fit in self.variants]}.get(kind, self.singles)
+
     def _chosen(self) -> list[Fit]:
         names = () if self.best is None else self.best.fit.candidate.names
-        pool = {"pair": self.pairs, "variant": [fit for _, fit in self.variants]}.get(self.kind, self.singles)
+        pool = self.fits_of(self.kind)
         return [fit for fit in pool if fit.candidate.names == names] or pool[:1]
 
     def stood_always(self) -> bool:
@@ -229,7 +237,7 @@ def occam(found: Search, fit: Fit) -> float:
 
 def set_probabilities(found: Search, kind: str) -> None:
     """Probabilities of the names of the chosen kind, and who can't be told apart."""
-    pool = found.pairs if kind == "pair" else [f for _, f in found.variants] if kind == "variant" else found.singles
+    pool = found.fits_of(kind)
     if not pool:
         return
     keys = [" + ".join(fit.candidate.names) for fit in pool]

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, fit_fully
+from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation
 from dieseltwin.discovery.likelihood.refit import refit_all
 from dieseltwin.discovery.likelihood.score import Scored, best_of_each, score, ways_of_each
 from dieseltwin.discovery.search.courses import (
@@ -109,7 +109,7 @@ def _try_parts(found: Search) -> None:
                 break
             candidate = Candidate((other.name,), {other.name: other.schedule})
             start = replace(fit, candidate=candidate)
-            variant, fit = other, fit_fully(found.twin, found.whitening, start, rounds=3, frozen=found.null).fit
+            variant, fit = other, found.refitted(start, 3)
             new.append((variant, fit))
     found.variants = in_order(found, [*found.variants, *new])
 
@@ -180,10 +180,7 @@ def _leaders(found: Search) -> list[tuple[Variant, Fit]]:
 def _polish_variants(found: Search) -> None:
     leaders = _leaders(found)
     rest = [pair for pair in found.variants if all(pair[1] is not fit for _, fit in leaders)]
-    fits = [
-        fit_fully(found.twin, found.whitening, fit, rounds=3, frozen=found.null).fit for _, fit in leaders
-    ]
-    polished = [(variant, fit) for (variant, _), fit in zip(leaders, fits, strict=True)]
+    polished = [(variant, found.refitted(fit, 3)) for variant, fit in leaders]
     found.variants = in_order(found, [*rest, *polished])
 
 

@@ -18,7 +18,7 @@ from dieseltwin.engine.terms import corrections_in
 from dieseltwin.errors import InputError
 from dieseltwin.notes import Note
 from dieseltwin.recordings.channel_checks import channel_notes
-from dieseltwin.recordings.channels import INPUTS, refuse_missing
+from dieseltwin.recordings.channels import refuse_missing
 from dieseltwin.recordings.guess.physics import reversed_where_read
 from dieseltwin.recordings.held import rows_between_readings
 from dieseltwin.recordings.reader import Recording
@@ -160,10 +160,9 @@ def check_rows(*recordings: Recording) -> None:
 def excitation(recording: Recording, engine: EngineParameters) -> tuple[dict[str, float], int]:
     """Spread of each input over the engine's range [-], and the operating points visited for a second or more."""
     running = _running(recording)
-    ranges = (engine.n_e_range, engine.u_delta_range, engine.u_egr_range, engine.u_vgt_range)
     spreads: dict[str, float] = {}
     cells = []
-    for name, (low, high) in zip(INPUTS, ranges, strict=True):
+    for name, (low, high) in engine.input_ranges.items():
         values = recording.columns[name][running]
         values = values[np.isfinite(values)]
         near, far = np.quantile(values, [0.05, 0.95]) if values.size else (0.0, 0.0)

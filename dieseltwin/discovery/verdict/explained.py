@@ -83,7 +83,7 @@ def _among_explanations(found: Search, values: Callable[[Sequence[Fit]], Array])
         most = 0.5 * max((found.gain(fit) for fit in found.singles), default=0.0)
         said = values([found.null.fit, *(fit for fit in found.singles if found.gain(fit) >= most)])
         return np.asarray(np.abs(said - said[0]).max(axis=0))
-    pool = {"pair": found.pairs, "variant": [fit for _, fit in found.variants]}.get(found.kind, found.singles)
+    pool = found.fits_of(found.kind)
     fits = sorted((fit for fit in pool if fit.candidate.names in found.equivalent), key=lambda fit: fit.objective)
     if len(fits) < 2:  # one doesn't disagree with itself
         return np.zeros(1)

@@ -51,7 +51,7 @@ def ranges_of_dates(found: Search, stamp: Callable[[float], float]) -> dict[str,
         stamp: a time of the twin as the document has it [s].
     """
     ranges = {"onset_range_s": found.onset_range_s, "until_range_s": found.until_range_s}
-    if found.kind != "variant":
+    if found.kind not in ("variant", "law"):
         return {}
     return {name: (stamp(dates[0]), stamp(dates[1])) for name, dates in ranges.items() if dates is not None}
 

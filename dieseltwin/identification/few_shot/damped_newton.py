@@ -9,10 +9,8 @@ from one integration, and solves a batch of small systems where this keeps a fac
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import TypeVar
 
 import numpy as np
 import torch
@@ -21,11 +19,9 @@ from scipy.linalg.lapack import dpotrf, dpotrs, dtrtrs
 from torch import Tensor
 
 from dieseltwin.arrays import Array
-from dieseltwin.engine.observations import pool, thread_count
+from dieseltwin.engine.observations import in_threads
 from dieseltwin.identification.few_shot.collocation import Collocation, Curvature, Data, Objective
 from dieseltwin.identification.few_shot.residuals import N_HEALTH, Cylinder
-
-T = TypeVar("T")
 
 DAMPING_DOWN, DAMPING_UP = 0.1, 8.0
 DAMPING_MIN, DAMPING_MAX = 1e-9, 1e6
@@ -182,7 +178,7 @@ def minimise(
     for _ in range(iterations_max):
         lanes = active.tolist()
         first = [_next(runs, tolerance, None, lane) for lane in lanes[:1]]
-        rest = _side_by_side(partial(_next, runs, tolerance, kept[lanes[0]]), lanes[1:]) if lanes else []
+        rest = in_threads(partial(_next, runs, tolerance, kept[lanes[0]]), lanes[1:]) if lanes else []
         steps = dict(zip(lanes, first + rest, strict=True))
         active = torch.tensor([lane for lane, step in steps.items() if step is not None], dtype=torch.int64)
         if not active.numel():
@@ -196,15 +192,10 @@ def minimise(
         x[to] = trial[of]
         here.put(to, there, of)
         lanes, good = active.tolist(), dict(zip(active.tolist(), accepted.tolist(), strict=True))
-        going = _side_by_side(partial(_goes_on, runs, good), lanes)
+        # Hessians and factors are a run's own, and made without Python's lock
+        going = in_threads(partial(_goes_on, runs, good), lanes)
         active = torch.tensor([lane for lane, on in zip(lanes, going, strict=True) if on], dtype=torch.int64)
     return runs
-
-
-def _side_by_side(one: Callable[[int], T], lanes: list[int]) -> list[T]:
-    """What `one` answers for each run: Hessians and factors are a run's own, and made without Python's lock."""
-    threads = thread_count()
-    return list(pool(threads).map(one, lanes)) if threads > 1 and len(lanes) > 1 else list(map(one, lanes))
 
 
 def _next(runs: Runs, tolerance: float, first: Factor | None, lane: int) -> Array | None:

@@ -96,13 +96,11 @@ class Defects:
         rate: (R, n, 3) [Pa/s, Pa/s, rad/s2].
         reading: (R, n, C) [SI].
         states: (R, n, 3) simulated p_im, p_em, omega_t [Pa, Pa, rad/s].
-        valid: (R,) whether the simulation stayed with the trajectory.
     """
 
     rate: Tensor
     reading: Tensor
     states: Tensor
-    valid: Tensor
 
 
 ASTRAY = 0.5
@@ -183,4 +181,4 @@ def defects_of(
     keep = valid[:, None, None].to(states.dtype)
     rate = (projected.rates - coarse.rates - forcing) * keep
     reading = torch.cat([states - projected.states, fine.readings - coarse.readings], -1) * keep
-    return Defects(rate, reading, states, valid)
+    return Defects(rate, reading, states)

@@ -88,16 +88,13 @@ class StateNetworks:
 
     Args:
         time_s: (n,) sample times of the segment [s].
-        specs: the networks; every state must come from one of them.
         dtype: of all tensors.
     """
 
-    def __init__(
-        self, time_s: ArrayLike, specs: Sequence[NetworkSpec] = PAPER_NETWORKS, dtype: torch.dtype = torch.float32
-    ) -> None:
+    def __init__(self, time_s: ArrayLike, dtype: torch.dtype = torch.float32) -> None:
         t = np.asarray(time_s, dtype=np.float64)
         span = float(t[-1] - t[0])
-        self.specs, self.dtype, self.n = tuple(specs), dtype, len(t)
+        self.specs, self.dtype, self.n = PAPER_NETWORKS, dtype, len(t)
         self.input = torch.tensor(2.0 * (t - t[0]) / span - 1.0, dtype=dtype)
         self.input_rate = 2.0 / span
         self.layers: list[list[Layer]] = [[] for _ in self.specs]

@@ -14,14 +14,12 @@ class Machine:
     """A kind of machine as its files are read.
 
     Attributes:
-        name: in words.
         section: of `data/channel_names.yaml`, that holds what names of its channels say.
         order: our columns, in the order of their weight.
         costs: our column -> what can't be told without it.
         commands: that take its recordings over time, and settled points; they stand in a channel map.
     """
 
-    name: str
     section: str
     order: tuple[str, ...]
     costs: Mapping[str, str]
@@ -29,7 +27,6 @@ class Machine:
 
 
 DIESEL = Machine(
-    "diesel engine",
     "meanings",
     (*DIESEL_COLUMNS, "torque_nm"),
     {
@@ -51,7 +48,6 @@ DIESEL = Machine(
 
 _NOT_RECORDED = "stands in where --sensors leaves it out (`discover`, `learn`)"
 PETROL = Machine(
-    "petrol engine",
     "petrol",
     ("omega_e_rad_s", "w_af_kg_s", "p_im_pa", "p_ic_pa", "t_ic_k", "alpha_th_pct", *AMBIENT),
     {

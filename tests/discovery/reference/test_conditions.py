@@ -150,14 +150,14 @@ def test_what_is_believed_of_an_exponent_counts_once_and_maps_that_are_open_wide
 
 
 def _pedal(seed: int, kicked: bool, engine: EngineParameters = we2011.PARAMETERS) -> Recording:
-    """A minute in rows of 5 Hz; fuel and valves moved at once every two seconds, or calmly from row to row."""
-    rng, time = np.random.default_rng(seed), np.arange(0.0, 60.0, 0.05 if kicked else 0.2)
+    """Forty seconds in rows of 5 Hz; fuel and valves moved at once every two seconds, or calmly from row to row."""
+    rng, time = np.random.default_rng(seed), np.arange(0.0, 40.0, 0.05 if kicked else 0.2)
     ends = ((60.0, 170.0), (5.0, 45.0), (40.0, 70.0))
     if kicked:
         at = np.searchsorted(np.cumsum(rng.uniform(1.6, 2.4, time.size)), time)
         levels = [rng.uniform(*pair, at.max() + 1)[at] for pair in ends]
     else:
-        held = np.arange(0.0, 66.0, 6.0)
+        held = np.arange(0.0, 46.0, 6.0)
         levels = [np.interp(time, held, rng.uniform(*pair, held.size)) for pair in ends]
     inputs = Inputs(time, 1300.0 + 200.0 * np.sin(time / 7.0), *levels)
     frame = simulate(inputs, engine, oxygen=False).iloc[:: 4 if kicked else 1]

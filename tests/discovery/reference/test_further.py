@@ -134,7 +134,7 @@ def test_a_rough_map_is_learned_where_it_is_believed_rough():
     left = {}
     for roughness in (0.0, 1.0):
         prior = prior_belief(we2011.PARAMETERS, RMS, Further(roughness))
-        evidence = Evidence(information, vector + information @ prior.mean, 1.0, 1500, 1500.0, np.inf, 0.0)
+        evidence = Evidence(information, vector + information @ prior.mean, 1.0, 1500.0, np.inf)
         left[roughness] = _left(combined(prior, [evidence]), length)
     assert left[1.0] < 0.5 * left[0.0]
     assert left[1.0] < NOISE

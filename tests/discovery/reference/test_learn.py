@@ -86,6 +86,7 @@ def test_what_maps_take_up_is_no_suspicion_before_a_fit_is_done(recordings):
     assert begun.suspicions(default_learn().suspicious_gain) == ()
 
 
+@pytest.mark.thorough
 def test_a_fault_in_one_recording_is_told_of_that_one():
     """It bought errors of all maps, five times as large as believed, and nobody was told."""
     sound, leaking = _recording(1), _recording(2, Fault("boost_leak", 4e-5))

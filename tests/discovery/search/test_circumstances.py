@@ -124,7 +124,6 @@ def _mapped(frame: pd.DataFrame, column: str, line: str, values: np.ndarray) -> 
 
 
 @pytest.mark.thorough
-@pytest.mark.thorough
 def test_a_gauge_pressure_on_a_hill_is_no_fault_of_its_sensor() -> None:
     """700 m, boost recorded over an ambient that nobody recorded: p_im read 8 kPa high, more than 99 % sure."""
     frame = _driven(p_amb=93_000.0, T_amb=285.15)
@@ -164,7 +163,6 @@ def test_a_cold_charge_that_no_column_gives_is_followed_by_simulation() -> None:
     assert document.health["A_vgtmax"].value == pytest.approx(we2011.PARAMETERS.A_vgtmax, rel=0.004)
 
 
-@pytest.mark.thorough
 @pytest.mark.thorough
 def test_each_of_several_recordings_has_a_weather_and_clocks_of_its_own() -> None:
     hill, late = _driven(90.0, p_amb=93_000.0, T_amb=285.15), _driven(90.0)

@@ -18,6 +18,7 @@ from dieseltwin.discovery.laws.sensor import Resolved
 from dieseltwin.discovery.likelihood.fit import fit_fully
 from dieseltwin.discovery.likelihood.metric import Whitening
 from dieseltwin.discovery.options import Options
+from dieseltwin.discovery.search import nameless
 from dieseltwin.discovery.search import run as search_run
 from dieseltwin.discovery.search.circumstances import with_reading_in_time
 from dieseltwin.discovery.search.preparation import prepare
@@ -93,13 +94,42 @@ def test_a_law_that_explains_too_little_is_not_reported(monkeypatch: pytest.Monk
         return Resolved(score, report)
 
     found = cast(Search, SimpleNamespace(twin=None, null=None, law=None, more_is_missing=lambda: True))
-    monkeypatch.setattr(search_run, "laws_in_turn", lambda *a: iter([resolved(30.0), resolved(20.0), resolved(50.0)]))
-    monkeypatch.setattr(search_run, "beyond_law", lambda found, law: ([], []))
-    search_run._law_of(found, (), None)
+    laws = [resolved(30.0), resolved(20.0), resolved(50.0)]
+    monkeypatch.setattr(nameless, "beyond_law", lambda found, law: ([], []))
+    nameless.take_law(found, laws)
     assert reported == [30.0, 50.0]
     reported.clear()
-    search_run._law_of(found, (), 12.0, 40.0)
+    nameless.take_law(found, laws, 40.0)
     assert reported == [50.0] and found.law is not None and found.law.score == 50.0
     found.more_is_missing = lambda: False
-    search_run._law_of(found, (), 12.0, 40.0)
+    nameless.take_law(found, laws, 40.0)
     assert reported == [50.0], "what is known leaves nothing"
+
+
+@pytest.mark.parametrize("leaves", [False, True])
+def test_a_law_from_the_first_row_on_is_reported_where_one_from_later_on_is_not_enough(
+    leaves: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reported: list[tuple[float | None, float]] = []
+
+    def resolved(since_s: float | None, score: float) -> Resolved:
+        def report() -> Law:
+            reported.append((since_s, score))
+            return cast(Law, SimpleNamespace(score=score))
+
+        return Resolved(score, report)
+
+    found = cast(Search, SimpleNamespace(
+        twin=None, null=None, law=None, left=["before"], left_local=[], more_is_missing=lambda: leaves, seconds={},
+        settings=SimpleNamespace(variant_gain=10.0, least_share=0.1),
+        everything_unnamed=lambda: [SimpleNamespace(gain=50.0)]))  # fmt: skip
+    for name, fake in {
+        "has_parts": lambda twin: True, "best_onset": lambda *a: 12.0, "beyond_law": lambda found, law: ([], []),
+        "scored_since": lambda *a: [SimpleNamespace(gain=90.0)],
+        "laws_in_turn": lambda twin, at, terms, tolerances, since_s: iter(
+            [resolved(since_s, 40.0), resolved(since_s, 45.0)] if since_s is None else [resolved(since_s, 80.0)]),
+    }.items():  # fmt: skip
+        monkeypatch.setattr(nameless, name, fake)
+    nameless.look_for_law(found)
+    assert found.law is not None and found.law.score == 80.0 and found.left == []
+    assert reported == ([(12.0, 80.0), (None, 40.0), (None, 45.0)] if leaves else [(12.0, 80.0)])

@@ -43,8 +43,8 @@ def test_a_term_of_the_engine_begins_where_identify_lets_it_begin() -> None:
     leak = twin.combined(single([e.value for e in twin.parameters], twin.first_local()))[1]["boost_leak"]
     begins_s = twin.recording_time_s[np.flatnonzero(leak)[0]]
     segment = source.segments(80.0)[-1]
-    factor = LEAK.factor(segment.time_s, segment.inputs.recording_start_s, {})
-    assert begins_s == segment.time_s[np.flatnonzero(factor)[0]] == 1170.0
+    factor = LEAK.factor(segment.columns["time_s"], segment.inputs.recording_start_s, {})
+    assert begins_s == segment.columns["time_s"][np.flatnonzero(factor)[0]] == 1170.0
     assert since_start(twin, float(twin.time_s[np.flatnonzero(leak)[0]])) == 170.0
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -19,11 +17,10 @@ DRAWN = [name for name, effect in EFFECTS.items() if effect.curve is not None]
 
 
 @pytest.fixture(scope="module")
-def told(tmp_path_factory, project_root: Path):  # type: ignore[no-untyped-def]
+def told(tmp_path_factory, trace: pd.DataFrame):  # type: ignore[no-untyped-def]
     """Twin of half a minute of driving, and its variables."""
-    table = pd.read_csv(project_root / "tests" / "reference" / "field_random_300s.csv").iloc[100:251]
     path = tmp_path_factory.mktemp("curve") / "recording.csv"
-    table.to_csv(path, index=False)
+    trace.iloc[100:251].to_csv(path, index=False)
     twin = EngineTwin(read_recording(path), we2011.FIELD)
     health = np.array([p.value for p in twin.parameters])
     return twin, twin.variables(single(health, twin.first_local()))

@@ -25,9 +25,9 @@ WRITERS: dict[str, Callable[[pd.DataFrame, Path], None]] = {}
 
 
 @pytest.fixture(scope="module")
-def drive() -> pd.DataFrame:
+def drive(trace: pd.DataFrame) -> pd.DataFrame:
     """A minute of simulated driving at 5 Hz."""
-    return pd.read_csv(REFERENCE / "field_random_300s.csv")[COLUMNS][:301]
+    return trace[COLUMNS][:301]
 
 
 def writer(name: str):
