@@ -45,7 +45,7 @@ def test_few_readings_may_leave_more_than_many() -> None:
     settings = default_learn()
 
     def marks(*of_each: tuple[float, float]) -> tuple[float, ...]:
-        evidence = tuple(Evidence(NOTHING, NOTHING, 1.0, 6, *item, 0.0) for item in of_each)
+        evidence = tuple(Evidence(NOTHING, NOTHING, 1.0, *item) for item in of_each)
         return Learned(prior_belief(we2011.PARAMETERS, MAP_RMS), evidence, True, NOTHING_FURTHER).misfit_marks(settings)
 
     draws = np.random.default_rng(2).chisquare(6.0, 200_000) / 6.0
