@@ -326,7 +326,8 @@ def _check_misfits(known: LearnedEngine, marks: Sequence[float]) -> None:
     each = zip(known.recordings, misfits, marks, strict=True)
     strange = [item for item in each if not item[1] <= item[2]]  # NaN, too
     if strange:
-        worst, misfit, mark = max(strange, key=lambda item: (item[0].path is not None, item[1] / item[2]))
+        worst, misfit, mark = max(
+            strange, key=lambda item: (item[0].path is not None, np.nan_to_num(item[1] / item[2], nan=np.inf)))
         raise InputError(
             str(worst.path or "recording"),
             f"{misfit**0.5:.2f} times the noise is left with all maps corrected",

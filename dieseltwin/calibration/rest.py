@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dieseltwin.arrays import Array, rms_of_most
+from dieseltwin.calibration.likelihood import reading_noise
 from dieseltwin.calibration.steady_model import ROWS, SteadyModel, law_variables
 from dieseltwin.engine.map_corrections import CORRECTED_POINTS, basis, basis_along
-from dieseltwin.recordings.noise import SETTLED_NOISE
 from dieseltwin.recordings.steady_points import STATES, SteadyPoints
 
 _STEP = 1e-4  # of the logarithm of a state, or of a function of a map
@@ -33,12 +33,14 @@ class Rest:
     Attributes:
         off: (n, 6) logarithm of the state at rest over its reading, in the order of `STATES` [-].
         along: (n, 6, F) what a coefficient of each function of the maps moves it by [-].
-        read: (n, 6) whether there is such a reading, and balances to tell by.
+        read: (n, 6) whether there is such a reading, above nothing, and balances to tell by.
+        noise: (n, 6) of the readings over what they read [-].
     """
 
     off: Array
     along: Array
     read: NDArray[np.bool_]
+    noise: Array
 
 
 def rest_of(
@@ -75,20 +77,21 @@ def rest_of(
     moved = (left(np.broadcast_to(x, (lanes, *x.shape)), signals) - r) / _STEP
     along = -np.einsum("nij,knj->nik", inverse, np.where(told[:, None], moved, 0.0))
     off = -np.einsum("nij,nj->ni", inverse, r)
-    return Rest(off, along, np.asarray(told[:, None] & np.isfinite(points.states())))
+    readings = points.states()
+    return Rest(off, along, np.asarray(told[:, None] & (readings > 0.0)), reading_noise(readings))
 
 
 def nearest_rest(rest: Rest, std: Array) -> Array:
     """Coefficients (F,) of the functions, with which the machine rests nearest to the readings.
 
-    How far points lie off in the middle is what each state's errors are weighed by, its reading's noise at least.
+    Each state's errors are weighed by how far points lie off it, few far ones setting nothing, and by its reading's
+    noise at least.
 
     Args:
         rest: of the points; std: (F,) prior standard deviations about nought [-].
     """
-    usual = np.array([SETTLED_NOISE[name] for name in STATES])
-    off, along = rest.off / usual, std * rest.along / usual[:, None]
-    z = np.zeros(std.size)
+    off, along = rest.off / rest.noise, std * rest.along / rest.noise[..., None]
+    z: Array = np.zeros(std.size)
     for _ in range(_ROUNDS):
         left = off + along @ z
         size = np.array([
@@ -97,5 +100,5 @@ def nearest_rest(rest: Rest, std: Array) -> Array:
         ])  # fmt: skip
         weight = np.where(rest.read, (1.0 + (left / (_FAR * size)) ** 2) ** -0.5 / size, 0.0)
         A, b = (along * weight[..., None]).reshape(-1, std.size), (off * weight).ravel()
-        z = -np.linalg.solve(A.T @ A + np.eye(std.size), A.T @ b)
+        z = -np.asarray(np.linalg.solve(A.T @ A + np.eye(std.size), A.T @ b), dtype=np.float64)
     return np.asarray(std * z)

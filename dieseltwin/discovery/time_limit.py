@@ -24,6 +24,11 @@ def time_limit(seconds: float | None) -> Iterator[None]:
         _ENDS.reset(token)
 
 
+def is_limited() -> bool:
+    """Whether there is a limit."""
+    return _ENDS.get() < float("inf")
+
+
 def check_time() -> None:
     """Go on, if there is time left.
 

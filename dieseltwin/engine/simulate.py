@@ -105,24 +105,22 @@ def settle(
     Terms act as they do `elapsed_s` [s] after the recording's start: what begins or grows later isn't there yet.
     The engine is not stable everywhere (light load, high speed); there it returns a state on the limit cycle. Where
     speed lines are flat there may be two rests: without boost the exhaust lacks the air that would give boost. An
-    engine is run at the one with boost.
+    engine is run at the one with boost. Of two rests under laws, which stand still on the way there (`at_rest`), an
+    exported engine may find another, as its laws act all the way.
     """
     time = np.array([0.0, SETTLE_S])
     n_e, u_delta, u_egr, u_vgt = (np.full(2, float(value)) for value in (n_e_rpm, u_delta_mg, u_egr_pct, u_vgt_pct))
     inputs = Inputs(time, n_e, u_delta, u_egr, u_vgt, start_s=0.0, recorded_s=np.full(2, elapsed_s),
                     u_flap_pct=None if u_flap_pct is None else np.full(2, u_flap_pct))  # fmt: skip
-    actuation = actuate(inputs, parameters)
-    laws = law_terms(parameters.terms)
-    without_laws = parameters.replace(terms=tuple(t for t in parameters.terms if t not in laws)) if laws else parameters
-    batch = parameter_batch(without_laws)
-    light, loaded = (
-        simulate_states(actuation, batch, np.array(start)).states[0, -1, :3].copy()
-        for start in (SETTLE_START, LOADED_START)
-    )
-    stalled = loaded[0] > (1.0 + STALLED) * light[0]
-    if laws:
-        return at_rest(actuation, parameter_batch(parameters), loaded if stalled else np.array(SETTLE_START))
-    return loaded if stalled else light
+    actuation, batch = actuate(inputs, parameters), parameter_batch(parameters)
+
+    def rest_from(start: tuple[float, float, float]) -> np.ndarray:
+        if law_terms(parameters.terms):
+            return at_rest(actuation, batch, np.array(start))
+        return simulate_states(actuation, batch, np.array(start)).states[0, -1, :3].copy()
+
+    light, loaded = rest_from(SETTLE_START), rest_from(LOADED_START)
+    return loaded if loaded[0] > (1.0 + STALLED) * light[0] else light
 
 
 def settle_first(inputs: Inputs, parameters: EngineParameters) -> np.ndarray:

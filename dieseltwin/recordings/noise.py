@@ -43,8 +43,13 @@ _BESIDE = 3  # readings on either side, whose medians say how high the channel i
 
 
 def flat_below(readings: Array) -> Array:
-    """Size of readings (n, C) below which their error no longer falls with it, (C,): at settled points."""
-    return np.asarray(_FLAT * np.nanmedian(np.abs(readings), axis=0))
+    """Size of readings (n, C) below which their error no longer falls with it, (C,): at settled points. Where most are
+    exactly nothing, as the flow of a shut valve may be, it is that of the others; 0 where all are."""
+    size = np.abs(readings)
+    middle = np.nanmedian(size, axis=0)
+    for j in np.flatnonzero(middle == 0.0):
+        middle[j] = np.median(size[size[:, j] > 0.0, j]) if np.any(size[:, j] > 0.0) else 0.0
+    return np.asarray(_FLAT * middle)
 
 
 @dataclass(frozen=True)

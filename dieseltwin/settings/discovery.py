@@ -63,7 +63,8 @@ class LearnConfig(StrictModel):
 
     map_error: PositiveFloat = Field(description="rms of the maps' errors that is believed of the base's family [-]")
     type_share: float = Field(ge=0.0, le=1.0, description="of their variance that engines of one type share [-]")
-    misfit_max: PositiveFloat = Field(description="squared whitened residual a reading; more is another engine")
+    misfit_max: PositiveFloat = Field(description="squared whitened residual over its degrees of freedom; more is "
+                                    "another engine")
     misfit_level: float = Field(gt=0.0, lt=1.0, description="probability that few readings of a healthy engine leave "
                                 "more than is allowed, by chance alone and of all recordings together [-]")
     suspicious_gain: PositiveFloat = Field(description="of an effect in the reference, beyond all that is believed")

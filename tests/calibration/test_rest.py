@@ -10,6 +10,7 @@ from dieseltwin.calibration.rest import Rest, nearest_rest, rest_of
 from dieseltwin.calibration.steady_model import ROWS, SteadyModel
 from dieseltwin.engine.map_corrections import basis
 from dieseltwin.engine.terms import CorrectionTerm
+from dieseltwin.recordings.noise import SETTLED_NOISE
 from dieseltwin.recordings.steady_points import STATES, SteadyPoints
 from dieseltwin.settings.defaults import default_search
 from tests.calibration.simulated import TRUTH, made_points, settle
@@ -66,5 +67,6 @@ def test_a_reading_that_is_missing_and_points_that_lie_far_off_set_nothing(point
     along, true = rng.standard_normal((80, 6, 2)), np.array([0.01, -0.02])
     shifted = -along @ true
     shifted[:4] += 1.0
-    made = Rest(shifted, along, np.ones((80, 6), dtype=bool))
+    usual = np.tile([SETTLED_NOISE[name] for name in STATES], (80, 1))
+    made = Rest(shifted, along, np.ones((80, 6), dtype=bool), usual)
     np.testing.assert_allclose(nearest_rest(made, np.full(2, 0.03)), true, atol=1.5e-3)

@@ -141,7 +141,7 @@ FLAT = we2011.PARAMETERS.replace(
 
 @pytest.mark.parametrize("laws", [(), (LawTerm(point="W_c", coefficient=0.001, unit="-", factors=()),)])
 def test_of_two_rests_an_engine_is_at_that_with_boost(laws: tuple[LawTerm, ...]) -> None:
-    """From light load it stayed where the exhaust lacks the air that would give boost: 45 of 50 points by 40 %."""
+    """Where the exhaust lacks the air that would give boost it stays, begun at light load."""
     at, engine = (1400.0, 130.0, 30.0, 45.0), FLAT.replace(terms=laws)
     one = np.ones(3)
     held = Inputs(np.array([0.0, 60.0, 120.0]), *(value * one for value in at))

@@ -344,7 +344,7 @@ static void engine_start(Engine *e, double time_s, Inputs u, double p_im, double
     e->c = derived(e->c);
     if (isnan(p_im) || isnan(p_em) || isnan(omega_t)) {
         double rest[3] = {0.0, 0.0, 0.0};
-        for (int k = 0; k < 2; k++) { /* from light load, and from much: of a stalled compressor it is another */
+        for (int k = 0; k < 2; k++) { /* from light load and from much load: a stalled compressor rests elsewhere */
             engine_start(e, 0.0, u, SETTLE_STARTS[k][0], SETTLE_STARTS[k][1], SETTLE_STARTS[k][2]);
             e->at_start = 1;
             engine_step(e, u, u, SETTLE_S);

@@ -25,15 +25,16 @@ class Evidence:
         information: (D, D) in inverse squared units of the coordinates, without any prior, about what all say.
         vector: (D,) information times the point at which the factor is largest.
         misfit: squared whitened residual at the estimate over `freedom`; 1 for an engine that the maps can describe.
-        freedom: of the readings, what is left beside all that the fit could follow them with.
-        noise_from: degrees of freedom from which its noise is known; infinite where rows tell it.
+        freedom: readings less what the fit's coordinates follow of them. Initial states and circumstances, which have
+            priors of their own, count for nothing.
+        noise_freedom: degrees of freedom from which its noise is known; infinite where rows tell it.
     """
 
     information: Array
     vector: Array
     misfit: float
     freedom: float
-    noise_from: float
+    noise_freedom: float
 
 
 @dataclass(frozen=True)
@@ -71,9 +72,9 @@ class Learned:
         level = settings.misfit_level / max(len(self.evidence), 1)  # of all recordings none may be refused by chance
 
         def by_chance(item: Evidence) -> float:
-            if np.isinf(item.noise_from):
+            if np.isinf(item.noise_freedom):
                 return float(chdtri(item.freedom, level)) / item.freedom
-            return float(fdtri(item.freedom, item.noise_from, 1.0 - level))
+            return float(fdtri(item.freedom, item.noise_freedom, 1.0 - level))
 
         return tuple(max(settings.misfit_max, by_chance(item)) for item in self.evidence)
 

@@ -150,10 +150,11 @@ class Joint:
         covariance = self._covariance()
         found = [part.crooked(at, self.x, covariance, rng) for part, at in zip(self.parts, self.at, strict=True)]
         if any_out := any(windows.any() for windows in found):
-            self._tell_noise()
-            for part, at, rest, windows in zip(self.parts, self.at, self.residuals, found, strict=True):
+            for part, windows in zip(self.parts, found, strict=True):
                 if windows.any():
                     part.leave_out(windows)
+            self._tell_noise()
+            for part, at, rest, windows in zip(self.parts, self.at, self.residuals, found, strict=True):
                 if windows.any() or isinstance(part, StandingPart):
                     part.whiten_anew(at, self.x, rest)
             self._simulate()
@@ -171,7 +172,7 @@ class Joint:
             information = 0.5 * (own + own.T) / across
             vector = information @ mean + (at.projected @ rest) / self.scale
             misfit = float(rest @ rest) / freedom
-            found.append(Evidence(information, vector, misfit, freedom, part.noise_from))
+            found.append(Evidence(information, vector, misfit, freedom, part.noise_freedom))
         return tuple(found)
 
     def suspicions(self, least_gain: float) -> tuple[Suspicion, ...]:

@@ -78,10 +78,10 @@ class Part:
         health: (4,) of a fit of health alone, where learning starts.
         local: (W, 1) initial states.
         left_out: (W,) windows that are not used.
-        noise_from: degrees of freedom from which its noise is known; so many where rows tell it that it is certain.
+        noise_freedom: degrees of freedom from which its noise is known; so many where rows tell it that it is certain.
     """
 
-    noise_from = float("inf")
+    noise_freedom = float("inf")
 
     def __init__(
         self, recording: Recording, engine: EngineParameters, prior: Belief, map_rms: float,

@@ -22,6 +22,8 @@ _LEAST, _LARGEST = 0.5, 3.0  # times `SETTLED_NOISE`; where points differ by mor
 _AS_SURE_AS = 3.0  # readings that tell as much of the noise as is known before: two beds of three within 1.5 of usual
 _FROM_EACH = 2.0  # times these, for the noise of six channels, each told apart: 600,000 draws of six readings that had
 # 6 to 30 others beyond F(6, that) at 0.001 were there in 0.4 to 0.9 of a thousand, beyond F(6, 3 times) in 1.4 to 1.8
+_LEAST_FREE = 1e-9  # readings, where the fit follows all of them
+_LEAST_SHARE = 1e-3  # of the freedom that other recordings have: noise is as good as certain for a recording alone
 _FREE = 0.05  # of a reading, that the fit leaves to its noise at least: what it takes up says nothing of noise
 
 
@@ -32,7 +34,7 @@ class StandingPart(Part):
     Attributes:
         flat: column -> reading below which its error no longer falls with it [unit of the column].
         relative: column -> noise over what is usual [-].
-        noise_from: degrees of freedom from which that is known.
+        noise_freedom: degrees of freedom from which that is known.
     """
 
     def __init__(
@@ -40,7 +42,7 @@ class StandingPart(Part):
         beliefs: CircumstanceSettings | None, between_rows: bool | None, flat: Mapping[str, float],
     ) -> None:  # fmt: skip
         self.flat, self.relative = flat, dict.fromkeys(flat, 1.0)
-        self.noise_from = _FROM_EACH * _AS_SURE_AS
+        self.noise_freedom = _FROM_EACH * _AS_SURE_AS
         super().__init__(recording, engine, prior, map_rms, beliefs, between_rows)
 
     def _bound(
@@ -79,7 +81,7 @@ class StandingPart(Part):
             followed = followed + (here.metric.nuisance_basis[:, :count] ** 2).sum(axis=0)
         relative = np.array([self.relative[name] for name in self.twin.channels])
         rest = here.rest(residual)[:count].reshape(shape) * relative
-        own = np.where(self.whitening.present, 1.0 - followed.reshape(shape), 0.0)
+        own = np.where(self.whitening.present & np.isfinite(self.twin.measured), 1.0 - followed.reshape(shape), 0.0)
         return rest, np.where(own > _FREE, own, 0.0)
 
 
@@ -107,10 +109,11 @@ def tell_noise(parts: Sequence[Part], linear: Sequence[Linear], x: Array, residu
         size = rms_of_most(rest[own > 0.0], own[own > 0.0], _AS_SURE_AS)
         for part, _ in settled:  # not into the mapping: copies beside a fault share it
             part.relative = {**part.relative, name: float(np.clip(size, _LEAST, _LARGEST))}
-    each = _AS_SURE_AS + free.sum() / max(len(settled[0][0].relative), 1)
-    for (part, _), own_share in zip(settled, free / max(free.sum(), _FREE), strict=True):
+    of_a_channel = _AS_SURE_AS + free.sum() / max(len(settled[0][0].relative), 1)
+    for (part, _), own in zip(settled, free, strict=True):
         # what a recording tells of the noise by itself makes its misfit no less sure
-        part.noise_from = _FROM_EACH * each / max(1.0 - float(own_share), _FREE**2)
+        by_others = 1.0 - float(own) / max(float(free.sum()), _LEAST_FREE)
+        part.noise_freedom = _FROM_EACH * of_a_channel / max(by_others, _LEAST_SHARE)
 
 
 def parts_of(
@@ -119,8 +122,8 @@ def parts_of(
 ) -> list[Part]:  # fmt: skip
     """The part of each recording, driving or settled points; arguments as of `Part`, `between_rows` of each.
 
-    How large a reading must be for its error to go with it is asked of all points: of one alone that shut its EGR
-    valve, 2 % of next to nothing was 136 times the noise.
+    How large a reading must be for its error to go with it is asked of all points: of one alone with its EGR valve
+    shut, 2 % of next to nothing would count as noise.
     """
     flat = {}
     for name in SETTLED_NOISE:

@@ -23,12 +23,13 @@ from dieseltwin.discovery.likelihood.learned import LearnedTwin
 from dieseltwin.discovery.likelihood.metric import Whitening, covariance_of
 from dieseltwin.discovery.likelihood.refit import widen
 from dieseltwin.discovery.search.courses import at_times
+from dieseltwin.discovery.search.nameless import law_about_itself
 from dieseltwin.discovery.search.preparation import recentred
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.search.variants import Variant
 from dieseltwin.discovery.twins.interface import Array, OverRecordings, Twin, rows_of
 
-Tried = Callable[[Sequence[float]], Array]
+LeftAt = Callable[[Sequence[float]], Array]
 """What explanations leave (D,) with an edge at each of some times of the twin [s]."""
 
 Ranges = dict[str, tuple[float, float]]
@@ -109,7 +110,7 @@ def _weighed(at: Linearisation, simulated: Array, without: Array, size: float, k
         information[known, known] = acting[k] @ acting[k]
         gradient = np.append(at.projected[:known] @ left[k] + prior, acting[k] @ left[k])
         found[k] = left[k] @ left[k] - gradient @ covariance_of(information) @ gradient
-    return found
+    return np.where(np.isfinite(found), found, np.inf)
 
 
 def _with_course(fit: Fit, variant: Variant) -> Fit:
@@ -122,18 +123,19 @@ def _ranges(at: Linearisation, variant: Variant, within: float) -> tuple[Ranges,
     onset, until, without = float(variant.onset_s or 0.0), variant.until_s, without_effect(at)
     found: Ranges = {}
     last = variant.gone[-1][1] if variant.gone else onset
-    def tried(times: Sequence[float], dated: Callable[[float], Variant]) -> Array:
+
+    def left_at(times: Sequence[float], dated: Callable[[float], Variant]) -> Array:
         return objectives(at, [dated(time_s) for time_s in times], without)
 
     if onset > first_s:
         end = variant.gone[0][0] if variant.gone else until
         begins = partial(at_times, at.twin, variant, until_s=until, grows=variant.grows, gone=variant.gone)
-        edge = _Edge(at.twin, partial(tried, dated=begins), first_s, end)
+        edge = _Edge(at.twin, partial(left_at, dated=begins), first_s, end)
         found["onset_s"] = edge.range_about(onset, within)
         onset = edge.best
     if until is not None:
         ends = partial(at_times, at.twin, variant, onset, grows=False, gone=variant.gone)
-        edge = _Edge(at.twin, partial(tried, dated=ends), max(last, onset), None)
+        edge = _Edge(at.twin, partial(left_at, dated=ends), max(last, onset), None)
         found["until_s"] = edge.range_about(until, within)
         until = edge.best
     return found, at_times(at.twin, variant, onset, until, variant.grows, variant.gone)
@@ -145,15 +147,15 @@ def _range_of_law(found: Search, since_s: float, within: float) -> tuple[float, 
     Windows that were left out tell nothing: where one lies at an end of the range, the law may have begun within it.
     """
     law, twin = cast(Law, found.law), found.twin
-    with_law, fit = law.on(twin)
-    at, known = Linearisation(with_law, found.whitening, fit, None, found.null.nuisance_response), len(twin.parameters)
+    at, known = law_about_itself(found, law), len(twin.parameters)
+    fit = at.fit
     without = at.metric.project(np.nan_to_num(twin.measured - twin.simulate(of_base(fit.lanes(), twin))))[0]
 
-    def tried(times: Sequence[float]) -> Array:
+    def left_at(times: Sequence[float]) -> Array:
         simulated = [law.since(date).on(twin)[0].simulate(fit.lanes())[0] for date in times]
         return _weighed(at, np.stack(simulated), without, 1.0, known)
 
-    low, high = _Edge(twin, tried, float(twin.time_s[0]), None).range_about(since_s, within)
+    low, high = _Edge(twin, left_at, float(twin.time_s[0]), None).range_about(since_s, within)
     low, high = min(low, since_s), max(high, since_s)
     while len(hidden := _hidden_at(found, [(low, high)])):
         begins, ends = hidden[:, 0].min(), hidden[:, 1].max()
@@ -168,12 +170,12 @@ class _Edge:
 
     Args:
         twin: whose rows and windows the dates are.
-        tried: what is left with the edge at some times.
+        left_at: what is left with the edge at some times.
         after_s, before_s: limits of the edge; None: the recording's end.
     """
 
-    def __init__(self, twin: Twin, tried: Tried, after_s: float, before_s: float | None) -> None:
-        self.twin, self.tried = twin, tried
+    def __init__(self, twin: Twin, left_at: LeftAt, after_s: float, before_s: float | None) -> None:
+        self.twin, self.left_at = twin, left_at
         time_s = twin.time_s
         last = float(time_s[-1]) if before_s is None else before_s
         inside = np.flatnonzero((time_s > after_s) & (time_s < last))
@@ -189,6 +191,8 @@ class _Edge:
         self._try([start])
         grid = np.array([row for row in self.twin.starts if self.rows[0] <= row <= self.rows[-1]])
         below, above = grid[grid < start][::-1], grid[grid > start]
+        if not np.isfinite(self.known[start]):  # the machine runs away without what is dated
+            return time_s, time_s
         while below.size or above.size:
             self._try([*below[:_AT_ONCE], *above[:_AT_ONCE]])
             limit = min(self.known.values()) + within
@@ -223,7 +227,7 @@ class _Edge:
 
     def _try(self, rows: Sequence[int]) -> None:
         times = self.twin.time_s
-        values = self.tried([float(times[row]) for row in rows])
+        values = self.left_at([float(times[row]) for row in rows])
         self.known.update({int(row): float(value) for row, value in zip(rows, values, strict=True)})
 
 

@@ -11,12 +11,15 @@ from itertools import chain, islice
 import numpy as np
 
 from dieseltwin.discovery.laws.features import Structure, scored_since
+from dieseltwin.discovery.laws.search import Law
 from dieseltwin.discovery.laws.sensor import Resolved, laws_in_turn
+from dieseltwin.discovery.likelihood.fit import Linearisation
 from dieseltwin.discovery.search.courses import has_parts
 from dieseltwin.discovery.search.explanations import beyond_law
 from dieseltwin.discovery.search.preparation import tolerance_responses
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.search.sums import best_onset
+from dieseltwin.discovery.time_limit import is_limited
 
 
 def look_for_law(found: Search) -> None:
@@ -24,7 +27,8 @@ def look_for_law(found: Search) -> None:
     more by what an onset must add, from later on.
 
     A report takes as many simulations as a search. Where the first law from later on is ahead of the first one from the
-    beginning and leaves nothing, the latter isn't reported, nor looked for at further points.
+    beginning and leaves nothing, the latter isn't reported, nor looked for at further points. Under a time limit what
+    is found first is reported first: it may be all that there is time for.
     """
     clock = time.perf_counter()
     terms = found.everything_unnamed()
@@ -36,16 +40,21 @@ def look_for_law(found: Search) -> None:
         scored = scored_since(found.null, terms, since_s)
         if scored and scored[0].gain > terms[0].gain + 0.5 * least:
             later = _laws(found, scored, since_s)
-            first, begun = _first(laws), _first(later)
-            left = found.left, found.left_local
-            take_law(found, begun, least + _score(first))
-            if found.law is not None and not found.more_is_missing():
-                laws = later = iter(())
-            else:
-                found.law, (found.left, found.left_local) = None, left
-                laws, later = chain(first, laws), chain(begun, later)
-    take_law(found, laws)
-    take_law(found, later, least + (0.0 if found.law is None else found.law.score))
+    if is_limited():
+        first: list[Resolved] = []
+        begun: list[Resolved] = []
+    else:
+        first, begun = _first(laws), _first(later)
+    ahead = bool(begun) and begun[0].score > least + _score(first)
+    if ahead:
+        take_law(found, begun)
+    if ahead and found.law is not None:
+        if found.more_is_missing():
+            take_law(found, chain(first, laws), found.law.score - least)
+            take_law(found, later, found.law.score + (least if found.law.since_s is None else 0.0))
+    else:
+        take_law(found, chain(first, laws))
+        take_law(found, chain(begun, later), least + (0.0 if found.law is None else found.law.score))
     found.seconds["law"] = time.perf_counter() - clock
 
 
@@ -77,3 +86,12 @@ def take_law(found: Search, laws: Iterable[Resolved], least: float = -np.inf) ->
             found.left, found.left_local = beyond_law(found, law)
         if not found.more_is_missing():
             break
+
+
+def law_about_itself(found: Search, law: Law) -> Linearisation:
+    """A law of a search, linearised about itself; its parameters stand behind those of the twin."""
+    null, (twin, fit) = found.null, law.on(found.twin)
+    try:
+        return Linearisation(twin, null.whitening, fit, None, null.nuisance_response, null.loadings)
+    except np.linalg.LinAlgError:  # the machine runs away with some tolerance there
+        return Linearisation(twin, null.whitening, fit, null)

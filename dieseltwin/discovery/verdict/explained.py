@@ -10,6 +10,7 @@ from dieseltwin.discovery.laws.features import Structure
 from dieseltwin.discovery.likelihood.circumstances import open_circumstances
 from dieseltwin.discovery.likelihood.fit import Fit, Linearisation, simulate_fits
 from dieseltwin.discovery.likelihood.refit import scatter
+from dieseltwin.discovery.search.nameless import law_about_itself
 from dieseltwin.discovery.search.state import Search, occam
 from dieseltwin.discovery.twins.interface import Array
 
@@ -21,14 +22,9 @@ def explained_at(found: Search) -> Linearisation:
 
     Without a law the health-only fit speaks where no name fits: it is biased by what it leaves out.
     """
-    null = found.null
     if found.kind == "law" and found.law is not None:
-        twin, fit = found.law.on(found.twin)
-        try:
-            return Linearisation(twin, null.whitening, fit, None, null.nuisance_response, null.loadings)
-        except np.linalg.LinAlgError:  # the machine runs away with some tolerance there
-            return Linearisation(twin, null.whitening, fit, null)
-    return found.best if found.best is not None and found.kind != "law" else null
+        return law_about_itself(found, found.law)
+    return found.best if found.best is not None and found.kind != "law" else found.null
 
 
 def disagreement(found: Search, at: Linearisation) -> Array:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -10,6 +12,7 @@ import dieseltwin as dt
 from dieseltwin.api.learning import LearnedResult
 from dieseltwin.arrays import rms_of_most
 from dieseltwin.discovery.reference.evidence import Evidence, Learned
+from dieseltwin.discovery.reference.joint import Joint
 from dieseltwin.discovery.reference.standing_part import StandingPart, parts_of
 from dieseltwin.engine import we2011
 from dieseltwin.errors import InputError
@@ -73,7 +76,7 @@ def test_a_point_of_another_day_has_the_noise_of_all_and_their_sizes() -> None:
 
 
 def test_a_slip_in_the_one_point_of_a_day_is_seen_and_noise_is_none() -> None:
-    """Its own residual was taken for its noise: whatever it was, nothing was said."""
+    """A residual that is its own noise explains itself."""
     table = of_two_days(5)
     found = dt.learn(table)
     assert isinstance(found, LearnedResult) and not found.known.suspected
@@ -81,3 +84,26 @@ def test_a_slip_in_the_one_point_of_a_day_is_seen_and_noise_is_none() -> None:
     table.loc[12, "p_im_pa"] *= 1.08
     with pytest.raises(InputError, match="times the noise is left with all maps corrected"):
         dt.learn(table)
+
+
+def test_noise_is_that_of_all_days_together() -> None:
+    """A day of one point has the noise of the other's twelve, and its misfit is as sure as they make it."""
+    table, rng = of_two_days(7), np.random.default_rng(8)
+    table["p_im_pa"] *= 1.0 + 2.5 * SETTLED_NOISE["p_im_pa"] * rng.standard_normal(len(table))
+    days = standing(points(table, needed=()))
+    prior = prior_belief(OWN, MAP_RMS)
+    joint = Joint(parts_of(days, OWN, prior, MAP_RMS, default_search().circumstances, [None, None]), prior)
+    joint.fit(3, 0.02)
+    joint.whiten_anew()
+    many, one = (cast(StandingPart, part) for part in joint.parts)
+    assert many.relative == one.relative and many.relative["p_im_pa"] > 1.4 * many.relative["p_em_pa"]
+    assert np.isfinite(one.noise_freedom) and one.noise_freedom < many.noise_freedom
+
+
+def test_a_valve_that_is_shut_in_most_points_leaves_a_noise() -> None:
+    """The middle of its flow was nothing, and no noise was left: a traceback."""
+    table = settled(OWN, 12, 9)
+    table.loc[:7, "w_egr_kg_s"] = 0.0
+    (day,) = standing(points(table, needed=()))
+    (part,) = parts_of([day], OWN, prior_belief(OWN, MAP_RMS), MAP_RMS, default_search().circumstances, [None])
+    assert np.isfinite(part.whitening.scale).all()

@@ -105,3 +105,18 @@ def test_an_end_has_a_range_too() -> None:
     _, variant = _best(found)
     assert variant.until_s is not None
     assert found.until_range_s is not None and found.until_range_s[0] <= 200.0 <= found.until_range_s[1]
+
+
+def test_a_law_has_a_range_and_what_was_left_out_at_its_end_widens_it() -> None:
+    toy = Coming(windows=30)
+    toy.record(gain=0.95, leak=(0.06, (toy.time_s >= ONSET_S).astype(float)))
+    found = search.run(toy, SETTINGS.asked(("leak", "drag"), 0))
+    assert found.kind == "law" and found.law is not None and found.law.since_s == pytest.approx(ONSET_S, abs=1.0)
+    assert found.onset_range_s is not None
+    low, high = found.onset_range_s
+    assert low <= ONSET_S <= high < low + 5.0
+    begins = found.twin.time_s[found.twin.starts]
+    found.left_out = (begins >= high - 1.0) & (begins < high + 20.0)
+    date_edges(found)
+    out = begins[~found.left_out & (begins > high)].min()
+    assert found.onset_range_s == (low, out)

@@ -24,7 +24,7 @@ from dieseltwin.discovery.search.circumstances import with_reading_in_time
 from dieseltwin.discovery.search.preparation import prepare
 from dieseltwin.discovery.search.settled import evidence_of
 from dieseltwin.discovery.search.state import Search
-from dieseltwin.discovery.time_limit import OutOfTimeError
+from dieseltwin.discovery.time_limit import OutOfTimeError, time_limit
 from dieseltwin.discovery.twins.diesel_circumstances import LoggedTwin
 from dieseltwin.discovery.twins.interface import Twin
 from dieseltwin.engine import we2011
@@ -106,16 +106,21 @@ def test_a_law_that_explains_too_little_is_not_reported(monkeypatch: pytest.Monk
     assert reported == [50.0], "what is known leaves nothing"
 
 
-@pytest.mark.parametrize("leaves", [False, True])
+@pytest.mark.parametrize("leaves, lost, limited, score, order", [
+    (False, False, False, 80.0, [80.0]),
+    (True, False, False, 75.0, [80.0, 75.0]),  # by less than an onset must add
+    (False, True, False, 40.0, [80.0, 40.0]),  # its report came to nothing
+    (False, False, True, 80.0, [40.0, 80.0]),  # time may end before it
+])
 def test_a_law_from_the_first_row_on_is_reported_where_one_from_later_on_is_not_enough(
-    leaves: bool, monkeypatch: pytest.MonkeyPatch
+    leaves: bool, lost: bool, limited: bool, score: float, order: list[float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    reported: list[tuple[float | None, float]] = []
+    reported: list[float] = []
 
     def resolved(since_s: float | None, score: float) -> Resolved:
-        def report() -> Law:
-            reported.append((since_s, score))
-            return cast(Law, SimpleNamespace(score=score))
+        def report() -> Law | None:
+            reported.append(score)
+            return None if lost and score == 80.0 else cast(Law, SimpleNamespace(score=score, since_s=since_s))
 
         return Resolved(score, report)
 
@@ -127,9 +132,9 @@ def test_a_law_from_the_first_row_on_is_reported_where_one_from_later_on_is_not_
         "has_parts": lambda twin: True, "best_onset": lambda *a: 12.0, "beyond_law": lambda found, law: ([], []),
         "scored_since": lambda *a: [SimpleNamespace(gain=90.0)],
         "laws_in_turn": lambda twin, at, terms, tolerances, since_s: iter(
-            [resolved(since_s, 40.0), resolved(since_s, 45.0)] if since_s is None else [resolved(since_s, 80.0)]),
+            [resolved(since_s, 40.0), resolved(since_s, 75.0)] if since_s is None else [resolved(since_s, 80.0)]),
     }.items():  # fmt: skip
         monkeypatch.setattr(nameless, name, fake)
-    nameless.look_for_law(found)
-    assert found.law is not None and found.law.score == 80.0 and found.left == []
-    assert reported == ([(12.0, 80.0), (None, 40.0), (None, 45.0)] if leaves else [(12.0, 80.0)])
+    with time_limit(1e6 if limited else None):
+        nameless.look_for_law(found)
+    assert found.law is not None and found.law.score == score and found.left == [] and reported == order
