@@ -39,7 +39,8 @@ def withheld() -> _Withheld:
 def test_a_refitted_term_gains_as_much_as_the_name_it_stands_for(withheld: _Withheld) -> None:
     null = withheld.found.null
     best = refit_terms(withheld.toy, null, leading(withheld.structure))[0]
-    assert (best.ranked.placed[0].form.point, best.ranked.placed[0].form.variables) == ("balance", ("x",))
+    assert (best.ranked.placed[0].form.point, [f.variables for f in best.ranked.placed[0].form.factors]) == (
+        "balance", [("x",)])
     assert best.gain == pytest.approx(withheld.gain("leak"), rel=0.02)
 
 
