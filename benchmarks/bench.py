@@ -79,8 +79,9 @@ def command(*arguments: object, folder: Path | None = None, refused: bool = Fals
     begin = time.perf_counter()
     told = subprocess.run(
         [sys.executable, "-c", script, sys.executable, *map(str, arguments)], cwd=folder or PROJECT, text=True,
-        capture_output=True, env={**os.environ, "PYTHONPATH": f"{PROJECT}{os.pathsep}{HERE}{os.pathsep}"
-                                  f"{os.environ.get('PYTHONPATH', '')}"},
+        capture_output=True, env={
+            **os.environ, "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1",  # one loop against another, whoever calls
+            "PYTHONPATH": f"{PROJECT}{os.pathsep}{HERE}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"},
     )  # fmt: skip
     seconds = time.perf_counter() - begin
     if told.returncode != (2 if refused else 0):
