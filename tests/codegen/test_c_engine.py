@@ -23,6 +23,7 @@ from dieseltwin.engine.terms import (
     SensorTerm,
     Term,
 )
+from tests.engine.test_simulate import FLAT
 
 LEARNED = CorrectionTerm(coefficients=tuple(0.02 * np.random.default_rng(1).standard_normal(len(basis().names))))
 LAWS = (
@@ -102,11 +103,9 @@ def test_c_is_what_simulate_is(engine: EngineParameters, allowed: float, drive: 
 
 def test_of_two_rests_it_begins_at_that_of_simulate(compiler: str, tmp_path: Path):
     """An engine with flat speed lines has another without boost."""
-    flat = we2011.PARAMETERS.replace(c_f2=-1.077, R_c=0.04164, c_m=(1.721, 2769.0, 0.01), W_copt=0.2211,
-                                     c_omega_psi=(5.473e-10, -8.613e-6, 0.7824))  # fmt: skip
     one = np.ones(11)
     inputs = Inputs(np.linspace(0.0, 2.0, 11), 1400.0 * one, 130.0 * one, 30.0 * one, 45.0 * one)
-    expected, got = simulate(inputs, flat), run(build(flat, compiler, tmp_path), inputs)
+    expected, got = simulate(inputs, FLAT), run(build(FLAT, compiler, tmp_path), inputs)
     assert expected["p_im_pa"].min() > 2.3e5
     assert differences(expected, got).drop(["x_oim", "x_oem"]).max() < 1e-6
 

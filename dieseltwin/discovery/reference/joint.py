@@ -128,7 +128,7 @@ class Joint:
         """What all recordings together show of the compressor's exponents, by name, beside what was believed of each;
         none in one weather."""
         found = [part.exponents(at, rest) for part, at, rest in self._left()]
-        return exponents_together(found, np.asarray(np.linalg.inv(self._information())), believed)
+        return exponents_together(found, self._covariance(), believed)
 
     def strange(self) -> tuple[Weather, ...]:
         """Weather and charge in which next to nobody drives."""
@@ -241,7 +241,7 @@ class Joint:
     def _tell_noise(self) -> None:
         """Of settled points, which have none of their own."""
         if any(isinstance(part, StandingPart) for part in self.parts):  # or nobody needs the covariance
-            tell_noise(self.parts, self.at, self.x, self.residuals, self._covariance())
+            tell_noise(self.parts, self.at, self.residuals, self._covariance())
 
     def _covariance(self) -> Array:
         """Of what is believed now (D, D), in standard deviations of the prior."""

@@ -77,7 +77,6 @@ class Part:
         name: file of the recording, for people.
         health: (4,) of a fit of health alone, where learning starts.
         local: (W, 1) initial states.
-        left_out: (W,) windows that are not used.
         noise_freedom: degrees of freedom from which its noise is known; so many where rows tell it that it is certain.
     """
 
@@ -99,7 +98,6 @@ class Part:
         self.health = rough.fit.parameters
         self._scatter = self._scatter_about(self.twin, start.lanes())
         self.whitening = self._whitening()
-        self.left_out = np.zeros(self.twin.starts.size, dtype=bool)
 
     def _bound(
         self, recording: Recording, engine: EngineParameters, map_rms: float, beliefs: CircumstanceSettings | None,
@@ -139,7 +137,6 @@ class Part:
 
     def leave_out(self, windows: np.ndarray) -> None:
         """Use some windows (W,) no longer."""
-        self.left_out = self.left_out | windows
         self.twin.measured[rows_of(self.twin, windows)] = np.nan
 
     def shown(self, x: Array, local: Array) -> Array:

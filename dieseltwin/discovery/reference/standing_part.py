@@ -54,6 +54,11 @@ class StandingPart(Part):
     def _scatter_about(self, twin: LoggedTwin, lanes: Lanes) -> ModelScatter:
         return ModelScatter()
 
+    def whiten_anew(self, here: Linear, x: Array, residual: Array) -> None:
+        """By the noise that was told last (`tell_noise`), for which no simulation is needed."""
+        del here, x, residual
+        self.whitening = self._whitening()
+
     def _whitening(self, explained: Array | None = None) -> Whitening:
         """By the noise that was told last, times what is usual; whatever a model explains."""
         measured = self.twin.measured
@@ -62,7 +67,7 @@ class StandingPart(Part):
         sigma = np.where(np.isfinite(measured), relative * unit, 1.0)
         return Whitening.of(measured, Noise(sigma, np.zeros_like(sigma)), self.twin.starts)
 
-    def left(self, here: Linear, x: Array, residual: Array, covariance: Array) -> tuple[Array, Array]:
+    def left(self, here: Linear, residual: Array, covariance: Array) -> tuple[Array, Array]:
         """Of every reading, what a fit leaves of it in usual standard deviations, and which share of its variance is
         its own, (n, C) each [-]; 0 where there is no reading.
 
@@ -70,7 +75,7 @@ class StandingPart(Part):
         is forgotten where it is read.
 
         Args:
-            here, x, residual: of the fit.
+            here, residual: of the fit.
             covariance: (D, D) of the coordinates, in prior standard deviations.
         """
         shape = self.twin.measured.shape
@@ -85,20 +90,19 @@ class StandingPart(Part):
         return rest, np.where(own > _FREE, own, 0.0)
 
 
-def tell_noise(parts: Sequence[Part], linear: Sequence[Linear], x: Array, residuals: Sequence[Array],
-               covariance: Array) -> None:  # fmt: skip
+def tell_noise(
+    parts: Sequence[Part], linear: Sequence[Linear], residuals: Sequence[Array], covariance: Array
+) -> None:
     """Tell all settled points of an engine what their readings' noise is: as all of them together show it, in whatever
     weather, beside what is usual. Points of one day alone may be one, whose own residuals say nothing of noise.
 
     Args:
-        parts: of the engine; those that aren't settled points count for nothing.
-        linear, residuals: of each, at the fit x; covariance: as of `StandingPart.left`.
+        parts: of the engine, some of them settled points; the others count for nothing.
+        linear, residuals: of each, at the fit; covariance: as of `StandingPart.left`.
     """
-    settled = [(part, part.left(here, x, residual, covariance))
+    settled = [(part, part.left(here, residual, covariance))
                for part, here, residual in zip(parts, linear, residuals, strict=True)
                if isinstance(part, StandingPart)]  # fmt: skip
-    if not settled:
-        return
     free = np.array([own.sum() for _, (_, own) in settled])
     for name in SETTLED_NOISE:
         of_channel = [(rest[:, part.twin.channels.index(name)], own[:, part.twin.channels.index(name)])

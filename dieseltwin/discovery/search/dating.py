@@ -53,6 +53,7 @@ def date_edges(found: Search) -> None:
     if found.kind == "law" and found.since_s is not None:
         found.onset_range_s = _range_of_law(found, found.since_s, within)
         found.seconds["dates"] = time.perf_counter() - clock
+        return
     variant, best = found.variant, found.best
     if found.kind != "variant" or variant is None or best is None or variant.onset_s is None:
         return
