@@ -5,15 +5,17 @@ it finds) enters the machine, all parameters are fitted again together with the 
 of the recording judge whether that foretells them no worse; then the search looks at what is left.
 
 Where an effect that begins in the middle explains more, the first round is of what began then, and that course of
-rounds stands if it leaves clearly less than one without an onset.
+rounds stands if it leaves clearly less than one without an onset. So does one whose first round is a law of what began
+then, where all that has a name leaves more than noise.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 
@@ -26,15 +28,28 @@ from dieseltwin.discovery.search.preparation import recentred
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.errors import InputError
-from dieseltwin.rigs.fitting import ROUNDS, checked_rows, fitted, fitted_otherwise, fitted_surely, foretold
+from dieseltwin.rigs.fitting import (
+    ROUNDS,
+    checked_rows,
+    fitted,
+    fitted_otherwise,
+    fitted_surely,
+    foretold,
+    rms_left,
+    times_noise,
+)
+from dieseltwin.rigs.later_laws import later_law, writable
 from dieseltwin.rigs.onsets import dated, first_course
-from dieseltwin.rigs.parameters import LawFactor, RigLaw, RigParameters, RigTerm
+from dieseltwin.rigs.parameters import RigParameters, RigTerm
 from dieseltwin.rigs.recording import RigRecording
+from dieseltwin.rigs.repaired import explanation, machine_with
 from dieseltwin.rigs.twin import RigTwin, When
 from dieseltwin.settings.defaults import default_search
 from dieseltwin.settings.search import RigSettings
 
 _PASSES = 4  # of a round: the misfit of an explanation says how large gains are, until the explanation stays
+LOUD = 3.0
+"""Times the noise, by which a repaired machine may miss a reading without a word."""
 _FAR_BEHIND = 4.0  # what leaves so many times the squared misfit of another explanation isn't gone after
 _DATINGS = 3  # of what a round names: with its own onset other names may be ahead
 
@@ -89,6 +104,12 @@ class _Course:
     def finds(self) -> bool:
         """Whether anything was taken."""
         return any(item.taken for item in self.rounds)
+
+    @property
+    def is_loud(self) -> bool:
+        """Whether a reading is missed by more than noise, in the fit or in free runs that none has seen."""
+        left = [rms_left(self.fit), *(item.after for item in self.rounds if item.taken)][::-1][:2]
+        return any((times_noise(self.fit, errors) > LOUD).any() for errors in left)
 
     @property
     def silent(self) -> bool:
@@ -173,7 +194,8 @@ def _best_course(
     before: RigParameters, fit: Linearisation, recording: RigRecording, options: Options, found: Search,
     midway: Linearisation | None,
 ) -> _Course:  # fmt: skip
-    """The course of rounds with an onset where it leaves clearly less, else the one without.
+    """The course of rounds with an onset where it leaves clearly less, else the one without; with a law of what begins
+    in the middle where names leave more than noise, and it clearly less.
 
     Args:
         before, fit: the machine without what is missing, and its fit.
@@ -181,6 +203,24 @@ def _best_course(
         found: the first search of what is so from the first row on.
         midway: what explains most where it begins in the middle.
     """
+    course = _course_of_names(before, fit, recording, options, found, midway)
+    if not options.law_search or not course.is_loud:
+        return course
+    law = later_law(fit, options.search, _FAR_BEHIND * _left_by(course.fit, fit) / _left_by(fit, fit))
+    if law is None or law.since_s is None:
+        return course
+    with suppress(np.linalg.LinAlgError):  # it runs away with the law
+        begun = _course(before, fit, recording, options, found, When(law.since_s), law)
+        if begun.finds and _ahead(begun.fit, course, begun.fit, options.search):
+            return begun
+    return course
+
+
+def _course_of_names(
+    before: RigParameters, fit: Linearisation, recording: RigRecording, options: Options, found: Search,
+    midway: Linearisation | None,
+) -> _Course:  # fmt: skip
+    """As `_best_course`, without laws of what begins in the middle."""
     settings = options.search
 
     def begun(midway: Linearisation) -> _Course | None:
@@ -228,9 +268,9 @@ def _ahead(fit: Linearisation, course: _Course, measure: Linearisation, settings
 
 def _course(
     here: RigParameters, fit: Linearisation, recording: RigRecording, options: Options, found: Search,
-    when: When | None = None,
+    when: When | None = None, first: Law | None = None,
 ) -> _Course:  # fmt: skip
-    """Rounds until nothing is left that a search can tell, after a first search of what is so at a time."""
+    """Rounds until nothing is left that a search can tell, after a first search of what is so at a time, or a law."""
     settings, early = options.search, None
     rounds: list[Round] = []
     none = np.zeros(0)
@@ -239,16 +279,16 @@ def _course(
         then = when if not rounds else None
         if rounds:
             found = _searched(here, fit.residual, recording, options)
-        names = found.names_for_round(found.null.fit.objective, settings.least_explained)
-        law = None
-        if not names and found.kind != "healthy" and options.law_search and then is None:
+        law = None if rounds else first
+        names = () if law is not None else found.names_for_round(found.null.fit.objective, settings.least_explained)
+        if law is None and not names and found.kind != "healthy" and options.law_search and then is None:
             law = _law(found)
         if not names and law is None:
             rounds.append(Round(found, (), None, none, none, False))
             break
         if not rounds:
             errors, early = foretold(here, recording, checked)
-        candidate = _with(here, found, names, law, then)
+        candidate = machine_with(here, found, names, law, then)
         bar = settings.gain_of_law if law is not None else settings.loss_of_name
         later, by = foretold(candidate, recording, checked)
         taken = _foretells(later, errors, bar)
@@ -289,7 +329,7 @@ def _then(midway: Linearisation, options: Options) -> tuple[Search, When]:
         names = found.names_for_round(found.null.fit.objective, settings.least_explained)
         if not names:
             break
-        moved = dated(cast(RigTwin, found.twin), found.whitening, _explanation(found, names), settings)
+        moved = dated(cast(RigTwin, found.twin), found.whitening, explanation(found, names), settings)
         if cast(RigTwin, moved.twin).when == twin.when:
             break
         twin = cast(RigTwin, moved.twin).about(moved.residual)
@@ -350,37 +390,4 @@ def _tolerances(found: Search, fit: Fit) -> float:
 
 
 def _law(found: Search) -> Law | None:
-    law = best_law(found.twin, found.null, found.everything_unnamed())
-    sites = set() if law is None else {law.site, *(rival.site for rival in law.rivals)}
-    if law is None or law.faults or len(sites) > 1 or any(p.form.operator for p in law.placed):
-        return None  # laws at several sites have no meaning beyond what they were fitted to; a file holds no operators
-    return law
-
-
-def _with(
-    rig: RigParameters, found: Search, names: tuple[str, ...], law: Law | None, then: When | None = None
-) -> RigParameters:
-    """The machine with what a round found, parameters as the search left them."""
-    if law is not None:
-        more = tuple(_written(placed.form.point, placed.coefficient, placed.form.factors, law.text)
-                     for placed in law.placed)
-        return rig.model_copy(update={"laws": (*rig.laws, *more)})
-    at = _explanation(found, names)
-    sizes: Mapping[str, float] = dict(zip(at.candidate.names, map(float, at.magnitudes), strict=True))
-    parameters = {name: p.model_copy(update={"value": float(value)})
-                  for (name, p), value in zip(rig.parameters.items(), at.parameters, strict=False)}
-    sha256 = cast(RigTwin, found.twin).recording.sha256
-    when: dict[str, Any] = {} if then is None else {**vars(then), "found_in": sha256}
-    terms = (*rig.terms, *(RigTerm(effect=name, magnitude=sizes[name], **when) for name in names))
-    return rig.model_copy(update={"parameters": parameters, "terms": terms})
-
-
-def _explanation(found: Search, names: tuple[str, ...]) -> Fit:
-    """The fit of what a round takes."""
-    return found.best.fit if found.best is not None and found.best.fit.candidate.names == names else found.singles[0]
-
-
-def _written(point: str, coefficient: float, factors: tuple, text: str) -> RigLaw:  # type: ignore[type-arg]
-    plain = tuple(LawFactor(kind=f.kind, variables=f.variables, references=f.references, shape=float(f.shape),
-                            units=f.units) for f in factors)  # fmt: skip
-    return RigLaw(at=point, coefficient=float(coefficient), factors=plain, text=text)
+    return writable(best_law(found.twin, found.null, found.everything_unnamed()))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from dieseltwin.discovery.likelihood.fit import Linearisation, first_fit, fit_fu
 from dieseltwin.discovery.likelihood.metric import Metric, covariance_of, std_of
 from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.errors import InputError
+from dieseltwin.recordings.noise import estimate_noise
 from dieseltwin.rigs.parameters import RigParameters
 from dieseltwin.rigs.recording import RigRecording
 from dieseltwin.rigs.simulate import first_states, run_error
@@ -80,6 +82,17 @@ def _fit(rig: RigParameters, recording: RigRecording) -> Linearisation:
     rough = fit_fully(twin, twin.whitening(), start, rounds=ROUNDS)
     twin = twin.about(rough.residual)
     return fit_fully(twin, twin.whitening(), rough.fit, rounds=ROUNDS)
+
+
+def times_noise(at: Linearisation, left: Array) -> Array:
+    """Errors (C,) in the noise of the recording's readings, or their resolution where that is more [-]."""
+    twin = cast(RigTwin, at.twin)
+    return np.asarray(left / np.maximum(estimate_noise(twin.measured).sigma, twin.floors))
+
+
+def rms_left(at: Linearisation) -> Array:
+    """Root mean square of what a fit leaves of every reading, (C,), NaN for one that is absent."""
+    return np.asarray(np.sqrt(np.nanmean(at.residual**2, axis=0)))
 
 
 def checked_rows(recording: RigRecording, share: float, onset_s: float | None = None) -> slice:

@@ -17,10 +17,9 @@ from dieseltwin.discovery.likelihood.metric import Whitening
 from dieseltwin.discovery.likelihood.score import Scored, effect_responses, score, secant_sizes
 from dieseltwin.discovery.search.variants import SECOND_EDGE
 from dieseltwin.discovery.twins.interface import Array
-from dieseltwin.rigs.twin import RigTwin, When
+from dieseltwin.rigs.twin import TIMES, RigTwin, When
 from dieseltwin.settings.search import RigSettings
 
-_TIMES = 24  # at which every effect is let begin; between them the best one's edges are moved
 _GROWING_SHARE = 0.25  # of the recording that an effect must grow over: what grows faster is a step
 _LEADERS = 4  # effects whose edges are moved: which is right is seen only then
 _FIRST_STEPS = 12  # of the span: shorter ones may not lead out of a window
@@ -40,7 +39,7 @@ def first_course(at: Linearisation, settings: RigSettings, withhold: Collection[
     twin = cast(RigTwin, at.twin)
     names = [name for name in twin.hypotheses if name not in withhold]
     wanted = secant_sizes(twin, names)
-    rows = _allowed(twin, settings)
+    rows = allowed_rows(twin, settings)
     if not wanted or len(rows) < 2:
         return None
     best: dict[tuple[str, int], tuple[float, Scored, When]] = {}
@@ -75,7 +74,7 @@ def first_course(at: Linearisation, settings: RigSettings, withhold: Collection[
 def _tried(at: Linearisation, wanted: Sequence[tuple[str, float]], rows: np.ndarray) -> Iterator[tuple[When, Array]]:
     """Courses of effects of some sizes with their responses (K, n, C)."""
     twin = cast(RigTwin, at.twin)
-    times = [float(t) for t in twin.time_s[np.unique(np.linspace(rows[0], rows[-1], _TIMES).round().astype(int))]]
+    times = times_tried(twin, rows)
     first, last = float(twin.time_s[0]), float(twin.time_s[-1])
     since = {t: effect_responses(twin.acting(When(t)), at, wanted) for t in (first, *times)}
     for t in times:
@@ -104,7 +103,7 @@ def dated(twin: RigTwin, whitening: Whitening, fit: Fit, settings: RigSettings) 
 
     They move by ever smaller steps, from sample to sample in the end; at each everything is fitted anew.
     """
-    rows = _allowed(twin, settings)
+    rows = allowed_rows(twin, settings)
     first = 0 if cast(When, twin.when).grown_s is not None else rows[0]
 
     def fitted(when: When) -> Linearisation:
@@ -136,7 +135,12 @@ def _moved(twin: RigTwin, when: When, step: int, allowed: tuple[int, int]) -> It
         yield from (replace(when, until_s=t) for t in near(when.until_s) if t > when.onset_s)
 
 
-def _allowed(twin: RigTwin, settings: RigSettings) -> np.ndarray:
+def times_tried(twin: RigTwin, rows: np.ndarray) -> list[float]:
+    """Times at which something is let begin [s], among the samples `rows`."""
+    return [float(t) for t in twin.time_s[np.unique(np.linspace(rows[0], rows[-1], TIMES).round().astype(int))]]
+
+
+def allowed_rows(twin: RigTwin, settings: RigSettings) -> np.ndarray:
     """Samples at which an effect may begin: what it acts on, and what it doesn't, is more than a moment."""
     n = len(twin.time_s)
     least = max(int(settings.onset_share * n), 1)

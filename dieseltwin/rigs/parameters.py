@@ -86,18 +86,21 @@ class LawFactor(StrictModel):
 
 
 class RigLaw(StrictModel):
-    """A law that was found where no name fits: a coefficient times factors, inserted at a quantity."""
+    """A law that was found where no name fits: a coefficient times factors, inserted at a quantity. In every other
+    recording than `found_in` it acts from the first row on."""
 
     at: str
     coefficient: float
     factors: tuple[LawFactor, ...] = ()
     text: str = ""
+    onset_s: float | None = where_told(description="time stamp since when it acts in `found_in`; None: always")
+    found_in: str = Field("", description="SHA-256 of the recording that it was found in")
 
-    @property
-    def placed(self) -> Placed:
-        """As the searches have it."""
+    def placed_in(self, sha256: str) -> Placed:
+        """As the searches have it, in a recording with that hash."""
         factors = tuple(Factor(f.kind, f.variables, f.references, f.shape, f.units) for f in self.factors)
-        return Placed(Form(self.at, factors), self.coefficient)
+        since_s = self.onset_s if self.found_in == sha256 else None
+        return Placed(Form(self.at, factors, since_s=since_s), self.coefficient)
 
 
 class RigParameters(StrictModel):

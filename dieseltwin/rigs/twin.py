@@ -86,6 +86,10 @@ def _found(rig: RigParameters, name: str, magnitude: float) -> Parameter:
     return Parameter(name, magnitude, size, effect.unit, effect.tolerance)
 
 
+TIMES = 24
+"""At which every effect and every term is let begin; between them the best one's date is moved."""
+
+
 class RigTwin(SimpleTwin):
     """A rig bound to a recording; satisfies `Twin` and `KnownErrors`.
 
@@ -116,7 +120,7 @@ class RigTwin(SimpleTwin):
         self.misfit = self.floors.copy()
         self.misfit[there] = np.maximum(np.nanstd(steps[:, there], axis=0), self.floors[there])
         for law in rig.laws:
-            placed = law.placed
+            placed = law.placed_in(recording.sha256)
             self._laws.setdefault(law.at, []).append(
                 lambda at, placed=placed: placed.coefficient * placed.form.value(at)  # type: ignore[misc]
             )
@@ -129,6 +133,15 @@ class RigTwin(SimpleTwin):
         size = np.sqrt(np.nanmean(residual**2, axis=0) * max(share, 1.0))
         twin.misfit = np.maximum(size, self.floors)
         return twin
+
+    @property
+    def onset_reaches_s(self) -> tuple[float, ...]:
+        """As `WithOnsetReaches`: from what lies between the times that are tried first down to a row."""
+        rows, reaches = len(self.time_s) / TIMES, []
+        while rows > 1.0:
+            reaches.append(rows * float(np.median(np.diff(self.time_s))))
+            rows /= 2.0  # five times about the best lie half a reach apart
+        return tuple(reaches)
 
     def acting(self, when: When) -> RigTwin:
         """The same twin, in which all effects that are looked for act then."""

@@ -34,8 +34,8 @@ from dieseltwin.discovery.verdict.health_value import HealthValue
 from dieseltwin.discovery.verdict.reasons import candidate_rows
 from dieseltwin.discovery.verdict.when import when_words
 from dieseltwin.notes import Note, listing
-from dieseltwin.recordings.noise import estimate_noise
-from dieseltwin.rigs.discover import RigDiscovery, Round
+from dieseltwin.rigs.discover import LOUD, RigDiscovery, Round
+from dieseltwin.rigs.fitting import rms_left, times_noise
 from dieseltwin.rigs.simulate import step_error
 from dieseltwin.rigs.twin import RigTwin
 from dieseltwin.version import __version__
@@ -48,7 +48,6 @@ HOLD = "hold"
 LEFT = "residuals"
 TAKEN_UP = 0.03  # of what an effect does to the readings, that parameters leave where they say the same
 MOVED = 0.2  # of the parameter that moves farthest
-LOUD = 3.0  # times the noise, by which a repaired machine may miss a reading without a word
 LEFT_BY_HOLD = 0.8  # of the error (rms); another way between rows leaves less than that where it is the right one
 LEAST_EXPLAINED = 0.5  # of a reading's variance; the tanks without what they lack explain 0.95
 
@@ -63,7 +62,7 @@ def document(result: RigDiscovery) -> Discrepancy:
         recording=RecordingInfo(path=recording.path, sha256=recording.sha256,
                                 duration_s=float(recording.time_s[-1] - recording.time_s[0]),
                                 channels=tuple(recording.readings)),
-        mismatch=bool(entries), p_value=p_value(first.found) if entries else 1.0,
+        mismatch=bool(entries), p_value=_p_value(first) if entries else 1.0,
         location=_location(result, first) if entries else None,
         effects=entries, more_is_missing=result.more_is_missing,
         health={name: HealthValue(value=p.value, std=p.std, before=before[name].value) for name, p in after.items()},
@@ -74,6 +73,13 @@ def document(result: RigDiscovery) -> Discrepancy:
     own = (*_unexplained(result, made.fit), *_left_notes(result), *_step_notes(result), *_hold_notes(result))
     doubts = [*fit_doubts(made), *own, *recording.notes]
     return with_warnings(made, doubts)
+
+
+def _p_value(first: Round) -> float:
+    """Probability that chance alone gives as much as the first finding."""
+    if first.law is not None and first.when is not None:  # the search was for what is there from the first row on
+        return float(np.clip(first.found.chance.p_value(first.law.gain), 0.0, 1.0))
+    return p_value(first.found)
 
 
 def _unexplained(result: RigDiscovery, fit: Fit) -> list[Note]:
@@ -99,16 +105,14 @@ def _left_notes(result: RigDiscovery) -> list[Note]:
     judged = _judged(result)
     if result.more_is_missing:
         return []
-    twin: RigTwin = result.fit_after.twin  # type: ignore[assignment]
-    noise = np.maximum(estimate_noise(twin.measured).sigma, twin.floors)
+    at = result.fit_after
+    left = judged[-1].after if judged else rms_left(at)
+    missed = [(name, f"{off:.3g} (rms), {times:.2g} times its noise")
+              for name, off, times in zip(at.twin.channels, left, times_noise(at, left), strict=True) if times > LOUD]
     if not judged:
-        left = np.sqrt(np.nanmean(result.fit_after.residual**2, axis=0))
-        return [Note(f"the fit misses {name} by {off:.3g} (rms), {off / own:.2g} times its noise", LEFT, [name])
-                for name, off, own in zip(twin.channels, left, noise, strict=True) if off > LOUD * own]
-    errors = zip(twin.channels, judged[-1].after, noise, strict=True)
-    return [Note(f"free runs of the repaired machine miss {name} by {off:.3g} (rms), {off / own:.2g} times its noise: "
-                 "what is found isn't all that is missing, or stands for something that the file has no name for",
-                 LEFT, [name]) for name, off, own in errors if off > LOUD * own]  # fmt: skip
+        return [Note(f"the fit misses {name} by {by}", LEFT, [name]) for name, by in missed]
+    return [Note(f"free runs of the repaired machine miss {name} by {by}: what is found isn't all that is missing, or "
+                 "stands for something that the file has no name for", LEFT, [name]) for name, by in missed]
 
 
 def _step_notes(result: RigDiscovery) -> list[Note]:
@@ -163,7 +167,7 @@ def _hold_notes(result: RigDiscovery) -> list[Note]:
     """Whether the machine fits better with its inputs taken otherwise between rows: every law would follow that."""
     if result.fit_otherwise is None:
         return []
-    left, otherwise = (np.nanmean(fit.residual**2, axis=0) ** 0.5 for fit in (result.fit_before, result.fit_otherwise))
+    left, otherwise = rms_left(result.fit_before), rms_left(result.fit_otherwise)
     share = float(np.mean(otherwise / np.maximum(left, np.finfo(float).tiny)))
     if not share < LEFT_BY_HOLD:
         return []
@@ -208,7 +212,7 @@ def _effects(result: RigDiscovery) -> tuple[FoundEffect, ...]:
 def _location(result: RigDiscovery, first: Round) -> Location:
     """Where the first finding sits, with its rivals, and when it is so."""
     if first.law is not None:
-        return Location(site=first.law.site, probability=1.0)
+        return Location(site=first.law.site, probability=1.0, onset_s=first.law.since_s)
     if first.found.probabilities:
         weights = site_probabilities(first.found)
     elif first.names:
@@ -226,11 +230,7 @@ def _fit(result: RigDiscovery) -> Fit:
     """Errors in the windows of the fit, in the misfit of the repaired machine; the likelihood of free runs that no fit
     has seen is that of an unknown variance, from the first round's to the last round's that was taken."""
     scale = result.fit_after.twin.misfit  # type: ignore[attr-defined]
-
-    def rms(residual: Array) -> Array:
-        return np.asarray(np.sqrt(np.nanmean(residual**2, axis=0)))
-
-    before, after = rms(result.fit_before.residual), rms(result.fit_after.residual)
+    before, after = rms_left(result.fit_before), rms_left(result.fit_after)
     names = result.fit_before.twin.channels
     judged = _judged(result)
     return Fit(
@@ -271,13 +271,14 @@ def sentence(result: RigDiscovery, found: Discrepancy) -> str:
         left = ", ".join(_measured(result, column, f"{rmse:.3g}") for column, rmse in found.fit.rmse_after.items())
         return f"No mismatch of {name} beyond what its recording can tell; its fit leaves {left} (rms)."
     told = []
-    for e in found.effects:
+    for place, e in enumerate(found.effects):
+        begun = e.name in result.begun or (place == 0 and e.magnitude is None and result.when is not None)
+        when = f" {when_words(found.location)}" if begun else ""
         if e.magnitude is None:
             if e.law != MORE:
-                told.append(f"none of the known effects: {e.law}")
+                told.append(f"none of the known effects: {e.law}{when}")
             continue
         apart = f", not told from {', '.join(e.equivalent_names)}" if e.equivalent_names else ""
-        when = f" {when_words(found.location)}" if e.name in result.begun else ""
         size = f"{e.magnitude:.4g}{'' if e.std is None else f' ± {e.std:.2g}'} {e.unit}"
         told.append(f"{e.name} {size} ({e.law}){when}{apart}")
     judged = _judged(result)

@@ -85,6 +85,27 @@ def test_the_repaired_machine_runs_on_what_comes_later(found: Path) -> None:
         assert np.sqrt(np.mean(error**2)) < 1.3 * NOISE
 
 
+def test_what_has_no_name_and_begins_later_is_a_law_since_then(tmp_path: Path) -> None:
+    """The leak's name is withheld: an offset and the meter explained 95 %, and were named."""
+    table = recorded(LEAK, ONSET_S)
+    table[:400].to_csv(tmp_path / "early.csv", index=False)
+    result = dt.discover(tmp_path / "early.csv", engine=RIG, withhold=["leak"])
+    assert [effect.name for effect in result.document.effects] == ["none_of_these"] and result.document.p_value < 1e-3
+    location = result.document.location
+    assert location is not None and location.site == "tank" and location.onset_s == pytest.approx(ONSET_S, abs=0.2)
+    assert "none of the known effects: added to balance" in result.sentence and "since 23 s" in result.sentence
+    result.save(tmp_path / "found")
+    rig = load_rig(tmp_path / "found" / "engine.yaml")
+    (law,) = rig.laws
+    assert law.at == "balance" and law.onset_s == location.onset_s and not rig.terms
+    for name, rows in (("early", slice(None, 400)), ("late", slice(400, None))):  # there from the first row on
+        recording = read_rig(tmp_path / "early.csv" if name == "early" else table[rows], rig)
+        error = simulate_rig(rig, recording)["level"] - recording.readings["level"]
+        assert np.sqrt(np.mean(error**2)) < 1.3 * NOISE
+    again = dt.discover(tmp_path / "early.csv", engine=rig, withhold=["leak"])
+    assert not again.document.mismatch  # it is part of the machine now
+
+
 @pytest.mark.parametrize("leak", [0.0, LEAK])
 def test_a_machine_that_stays_as_it_is_has_no_onset(leak: float, tmp_path: Path) -> None:
     """A leak that was always there is the outlet's: no recording can tell them apart."""

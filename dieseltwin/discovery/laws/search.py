@@ -24,7 +24,8 @@ from dieseltwin.discovery.laws.refit import Refit, disagreement, refit_all_laws,
 from dieseltwin.discovery.laws.responses import Responses
 from dieseltwin.discovery.laws.twin import LawTwin, Placed, point_index
 from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, fit_fully
-from dieseltwin.discovery.twins.interface import ONSET_REACHES_S, Array, Twin, WithSignals, times_about
+from dieseltwin.discovery.twins.interface import Array, Twin, WithSignals
+from dieseltwin.discovery.twins.onset_times import onset_reaches, times_about
 
 RIVALS = 9.0  # 2 delta log-likelihood within which two laws can't be told apart (docs/discovery.md)
 _ALIKE_SHARE = 0.005  # of the gain: what maps that are off a little can add to a form that follows them
@@ -192,7 +193,7 @@ class LawSearch:
 
     def _date(self, here: Linearisation, variables: dict[str, Array]) -> None:
         """The best law from other times on."""
-        for reach in ONSET_REACHES_S:
+        for reach in onset_reaches(self.twin):
             best = _simplest_first(self.refits)[0]
             since = cast(float, best.twin.laws[0].form.since_s)
             estimates = zip(best.twin.laws, best.twin.values(best.fit.parameters), strict=True)

@@ -15,7 +15,8 @@ from dieseltwin.discovery.laws.reading_twin import ReadingFault, ReadingTwin
 from dieseltwin.discovery.laws.refit import Refit
 from dieseltwin.discovery.laws.search import RESOLVED, RIVALS, Law, LawSearch, Rival
 from dieseltwin.discovery.likelihood.fit import Fit, Linearisation, fit_fully
-from dieseltwin.discovery.twins.interface import ONSET_REACHES_S, Twin, law_scope_of, times_about
+from dieseltwin.discovery.twins.interface import Twin, law_scope_of
+from dieseltwin.discovery.twins.onset_times import onset_reaches, times_about
 
 _WITHIN = 0.5  # of the best linear gain: faults that are refitted
 _MOST = 4
@@ -118,7 +119,7 @@ def sensor_fault(
     best = fits.add([(fault,) for fault in tried], at.fit)
     if best is None:
         return None
-    for reach in () if since_s is None else ONSET_REACHES_S:
+    for reach in () if since_s is None else onset_reaches(twin):
         (fault,) = fits.faults
         fault = replace(fault, size=float(best.fit.parameters[len(twin.parameters)]))
         others = (t for t in times_about(twin, cast(float, fault.since_s), reach) if t != fault.since_s)
@@ -252,10 +253,11 @@ def _is_ahead(refit: Refit, fault: FaultFit) -> bool:
 
 
 def best_law(
-    twin: Twin, at: Linearisation, structure: Sequence[Structure], tolerances: Tolerances | None = None
-) -> Law | None:
+    twin: Twin, at: Linearisation, structure: Sequence[Structure], tolerances: Tolerances | None = None,
+    since_s: float | None = None,
+) -> Law | None:  # fmt: skip
     """The first of `laws_in_turn`."""
-    first = next(laws_in_turn(twin, at, structure, tolerances), None)
+    first = next(laws_in_turn(twin, at, structure, tolerances, since_s), None)
     return None if first is None else first.report()
 
 

@@ -30,7 +30,8 @@ from dieseltwin.discovery.search.variants import (
     same_region,
     scan,
 )
-from dieseltwin.discovery.twins.interface import ONSET_REACHES_S, Twin, times_about
+from dieseltwin.discovery.twins.interface import Twin
+from dieseltwin.discovery.twins.onset_times import ONSET_REACHES_S, times_about
 
 _VARIANTS = 6  # that begin or act in a part of the driving are refitted
 _DATINGS = 2  # another effect that leads between the same edges has them moved for itself

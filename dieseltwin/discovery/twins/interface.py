@@ -76,10 +76,6 @@ class Point:
     timed: bool = True
 
 
-ONSET_REACHES_S = (8.0, 2.0)
-"""How far about the best onset so far others are tried, in turn [s]: windows are some ten seconds long."""
-
-
 @dataclass(frozen=True)
 class LawScope:
     """What laws at the points of a twin may be made of.
@@ -282,13 +278,6 @@ class WithLawScope(Offer, Protocol):
 def law_scope_of(twin: Twin) -> LawScope:
     """What laws of a twin may be made of; anything, where it doesn't say."""
     return twin.law_scope if isinstance(twin, WithLawScope) else LawScope()
-
-
-def times_about(twin: Twin, around_s: float, reach_s: float) -> list[float]:
-    """Five times about a first estimate of an edge in time, at samples [s]."""
-    times = np.linspace(around_s - reach_s, around_s + reach_s, 5)
-    inner = times[(times > twin.time_s[2]) & (times < twin.time_s[-3])]
-    return sorted({float(twin.time_s[np.searchsorted(twin.time_s, t)]) for t in inner})
 
 
 @runtime_checkable

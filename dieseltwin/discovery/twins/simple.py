@@ -224,7 +224,8 @@ class SimpleTwin(TwinDefaults):
         signals = {name: [signal[self._rows][:, None, :]] for name, signal in lanes.signals.items()}
         for name, own in self._lane_signals(lanes, self._rows).items():
             signals.setdefault(name, []).append(own)
-        insertion = Insertion(self._points, signals, laws, {**vars(x), **vars(u)})
+        times = self.time_s[self._rows][:, None, :]  # for laws that begin later
+        insertion = Insertion(self._points, signals, laws, {**vars(x), **vars(u), "time_s": times})
         self.model.rates(x, u, p, insertion, e)
         readings = self.model.readings(x, u, p, insertion, e)
         return readings, insertion.noted
@@ -288,12 +289,13 @@ class SimpleTwin(TwinDefaults):
         held = model.hold == "held"
         driven = [{name: between(v, 0.0 if held else share) for name, v in inputs.items()} for share in shares]
         entering = [{name: between(v, share) for name, v in shared.items()} for share in shares]
+        times = [between(self.time_s[rows], share) for share in shares]
 
         def inserted(x: SimpleNamespace, u: SimpleNamespace, k: int, j: int) -> Insertion:
             signals = {name: [values[k]] for name, values in entering[j].items()}
             for name, values in own.items():
                 signals.setdefault(name, []).append(between(values[k : k + 2], shares[j])[0])
-            return Insertion(self._points, signals, laws, {**vars(x), **vars(u)})
+            return Insertion(self._points, signals, laws, {**vars(x), **vars(u), "time_s": times[j][k]})
 
         def rates(state: Array, k: int, j: int) -> Array:
             x = SimpleNamespace(**dict(zip(self.states, state, strict=True)))
