@@ -43,7 +43,8 @@ have kinks at every row."""
 _FOLLOWED = {"p_amb_pa": 100.0, "time_shift:n_e_rpm": 0.05}
 """Steps [unit] of what a reading may have been computed from; the clock of another sensor moves by whole rows."""
 
-_EVERYTHING = "time_shift:"  # of all inputs together: what a reading does when its own clock is moved the other way
+_EARLIER, _LATER = "time_shift:", "time_shift:later"
+"""All inputs together: what a reading does when its own clock is moved the other way. Next to a kink the two differ."""
 
 _CONSTANT = {
     "p_amb_pa": "p_amb", "t_amb_k": "T_amb", "t_im_k": "T_im", **{f"{CORRECTED}:{name}": name for name in EXPONENTS}
@@ -144,9 +145,9 @@ class LoggedTwin(EngineTwin):
         like: LoggedTwin | None = None,
     ) -> None:  # fmt: skip
         engine = with_charge(engine, recording)
-        self.values: Mapping[str, float] = {
-            name: applicable(recording, name, value) for name, value in (values or {}).items()
-        }
+        asked = dict(values or {})
+        self.values: Mapping[str, float] = {name: applicable(recording, name, value) for name, value in asked.items()}
+        self._beyond_rows = {name: value - self.values[name] for name, value in asked.items()}
         right, under = put_right(recording, engine, self.values)
         super().__init__(right, under, sensors, map_tolerance=map_tolerance, belief=belief, like=like)
         self._read = recording, engine, sensors, map_tolerance, belief
@@ -183,6 +184,9 @@ class LoggedTwin(EngineTwin):
         other = type(self)(recording, engine, sensors, map_tolerance=map_tolerance, belief=belief, beliefs=self.beliefs,
                            values=values, opened=opened, like=self if like else None)  # fmt: skip
         other.between_rows, other.known_between = self.between_rows, self.known_between
+        for name, value in other.values.items():  # clocks that stay where they are
+            if other._beyond_rows[name] == 0.0 and value == self.values.get(name):
+                other._beyond_rows[name] = self._beyond_rows[name]
         if like:
             empty = ~np.isfinite(self.measured).any(axis=1)
             other.measured[empty] = np.nan
@@ -199,12 +203,12 @@ class LoggedTwin(EngineTwin):
     def circumstance_responses(self, lanes: Lanes, simulated: Array, names: Sequence[str]) -> Array:
         """Responses (K, n, C) of the readings per unit of circumstances, next to one lane with readings (n, C)."""
         out = np.zeros((len(names), *simulated.shape))
-        needed = [_EVERYTHING if self._is_reading(name) else name.removeprefix(f"{DRIFT}:") for name in names]
+        needed = [self._moved_for(name) for name in names]
         by_run = list(dict.fromkeys(needed))
         responses = dict(zip(by_run, self._run_with(lanes, by_run), strict=True))
         ramp = self._drift
         for k, (name, run) in enumerate(zip(names, needed, strict=True)):
-            if run == _EVERYTHING:
+            if run in (_EARLIER, _LATER):
                 j = self.channels.index(name.rpartition(":")[2])
                 out[k, :, j] = -responses[run][:, j]
             else:  # the gas path answers within a second: a drift acts as its value of the moment
@@ -227,24 +231,43 @@ class LoggedTwin(EngineTwin):
             out[:, j] = np.nan_to_num((moved.columns[channel] - still.columns[channel])[self.rows] / step)
         return out
 
-    def _is_reading(self, name: str) -> bool:
+    def _moved_for(self, name: str) -> str:
+        """What is moved for the response to a circumstance: all inputs for a sensor's clock, to the side on which it
+        lies beyond the whole rows by which its readings were moved."""
         kind, _, column = name.rpartition(":")
-        return kind == TIME_SHIFT and column not in INPUT_COLUMNS
+        if kind != TIME_SHIFT or column in INPUT_COLUMNS:
+            return name.removeprefix(f"{DRIFT}:")
+        return _LATER if self._beyond_rows.get(name, 0.0) > 0.0 else _EARLIER
 
     def _run_with(self, lanes: Lanes, names: Sequence[str]) -> Array:
         """Responses to circumstances that act on the engine, a lane each behind one as it is."""
         lanes = self.with_own_laws(lanes)
         many = some_lanes(lanes, np.zeros(1 + len(names), dtype=np.int64))
-        steps = np.array([_STEPS[kind or name] for name, kind in ((name, name.rpartition(":")[0]) for name in names)])
+        steps = np.array([_STEPS[name.rpartition(":")[0] or name] for name in names])
+        steps[[name == _LATER for name in names]] *= -1.0
         constants = {
             key: getattr(self.engine, key) + np.array([0.0, *(steps * [name == column for name in names])])
             for column, key in _CONSTANT.items()
         }
         combined, schedules = self.combined(lanes)
+        for k, name in enumerate(names):
+            if name in (_EARLIER, _LATER):
+                many.local[1 + k] += steps[k] * self._local_rates(lanes)
         moves = [("", 0.0), *zip(names, steps, strict=True)]
         actuations = [self._actuation_with(name, step, combined, schedules) for name, step in moves]
         seen = self.driven(many, actuations, constants)
         return np.asarray((seen[1:] - seen[0]) / steps[:, None, None])
+
+    def _local_rates(self, lanes: Lanes) -> Array:
+        """By how much the first states (W, 1) of the windows change in a second, along lane 0.
+
+        All inputs earlier, and the states with them: a turbo speed that rises by 1300 rad/s in each second as a window
+        begins was still where it had been, and of its sensor's clock no more was told there than its inertia lets it
+        forget. Healthy engines with clocks 0.3 s off had "omega_t reads 0.08 s behind".
+        """
+        speed = self._integrate(some_lanes(lanes, slice(0, 1))).states[0, :, 2]
+        both = np.stack([self.starts, self.starts + 1])  # a window has more rows than one
+        return np.asarray(np.diff(speed[both], axis=0) / np.diff(self.time_s[both], axis=0)).T
 
     def _actuation_with(
         self, name: str, step: float, magnitudes: Mapping[str, Array], schedules: Mapping[str, Array]
@@ -263,7 +286,7 @@ class LoggedTwin(EngineTwin):
             before = {one: inputs.columns[one] for one in INPUT_COLUMNS}
             ambient = self.engine.p_amb  # no input follows it
             earlier: dict[str, Any] = {**before, **made.undone(before, ambient)}
-            for one in [column] if column else INPUT_COLUMNS:
+            for one in INPUT_COLUMNS if name in (_EARLIER, _LATER) else [column]:
                 earlier[one] = np.interp(self.time_s + step, self.time_s, earlier[one])
             inputs = replace(inputs, **{**earlier, **made.redone(earlier, ambient)})
         own = {key: values for key, values in schedules.items() if key in moved}
