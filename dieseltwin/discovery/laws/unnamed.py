@@ -28,13 +28,21 @@ _NEAR = 60.0  # of the gain needed: terms that get slopes of their own
 _ROUNDS = 6
 
 
-def leading(structure: Sequence[Structure]) -> list[Structure]:
-    """The strongest terms inside the machine, a few of each point, of scored ones with the strongest first."""
+def leading(structure: Sequence[Structure], needed: float = 0.0) -> list[Structure]:
+    """The strongest terms inside the machine, a few of each point, of scored ones with the strongest first.
+
+    Args:
+        structure: scored terms.
+        needed: gain that decides: terms whose linear gain is far from it, by share and by amount, are left out.
+    """
     kept: list[Structure] = []
     inside = [item for item in structure if item.feature.form is not None]
+    if not inside:
+        return kept
+    least = max(_LEAST_SHARE * inside[0].gain, min(_LEAST_SHARE * needed, needed - _NEAR))
     for item in inside:
         of_point = sum(other.feature.point == item.feature.point for other in kept)
-        if of_point < _OF_A_POINT and item.gain > _LEAST_SHARE * inside[0].gain:
+        if of_point < _OF_A_POINT and item.gain > least:
             kept.append(item)
     return kept[:MOST]
 
@@ -53,6 +61,8 @@ def refit_terms(
     Returns:
         Refits; gains are decreases of -2 log likelihood over `at`.
     """
+    if not items:
+        return []
     variables = {**twin.variables(at.fit.lanes()), "time_s": twin.time_s}
     ranked = []
     for item in items:
@@ -73,7 +83,8 @@ def best_term(
     twin: Twin, whitening: Whitening, at: Linearisation, structure: Sequence[Structure], needed: float,
     since_s: float | None = None,
 ) -> float:  # fmt: skip
-    """Gain of the best term without a name over the health-only fit, refitted fully where it is near what is needed.
+    """Gain of the best term without a name over the health-only fit, refitted fully where it is near what is needed; 0
+    where none can come near.
 
     Args:
         twin: without it.
@@ -83,7 +94,7 @@ def best_term(
         needed: gain that decides.
         since_s: from when on the terms act, as they were scored [s]; None: always.
     """
-    refits = refit_terms(twin, at, leading(structure), since_s)
+    refits = refit_terms(twin, at, leading(structure, needed), since_s)
     best = refits[0].gain if refits else 0.0
     for refit in refits[:_POLISHED]:
         if needed - _NEAR < refit.gain and best <= needed:

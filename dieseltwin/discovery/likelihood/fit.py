@@ -20,7 +20,8 @@ _SHORTER_STEPS = 5
 _SHORTENED = 0.35  # a step after one that led uphill
 _CONVERGED = 0.05  # predicted decrease of the objective that counts as none
 _NULL_ROUNDS = 12
-_PROMISED = 4.0  # times what a linear step predicts: what a fit may still gain at most
+PROMISED = 4.0
+"""Times what a linear step predicts: what a fit may still gain at most."""
 
 
 @dataclass(frozen=True)
@@ -292,7 +293,7 @@ def fit_fully(
             return _marked(here, False)
         if predicted < _CONVERGED:
             return _marked(here, True)
-        if here.fit.objective - _PROMISED * predicted > ahead:
+        if here.fit.objective - PROMISED * predicted > ahead:
             return _marked(here, False)
         there = _downhill(make, here, step, predicted, local=True)
         if there is None and predicted > 20 * _CONVERGED:

@@ -73,7 +73,7 @@ def running_away(twin: Twin, simulated: Array, *responses: Array) -> np.ndarray:
 
 
 def learned_nuisances(
-    twin: Twin, belief: Belief, lanes: Lanes, simulated: Array, whitening: Whitening
+    twin: Twin, belief: Belief, lanes: Lanes, simulated: Array, whitening: Whitening, of_free: Array | None = None
 ) -> list[Nuisance]:
     """Directions of what is still open, one standard deviation each.
 
@@ -81,11 +81,12 @@ def learned_nuisances(
         twin: bound to its recording; belief: its own.
         lanes: one, next to which the responses are taken; simulated: its readings (n, C).
         whitening: of the readings.
+        of_free: `map_columns` of what is free there, where they are known.
     """
     columns = np.zeros((belief.mean.size, *simulated.shape))
-    of_free = map_columns(twin, lanes, simulated, belief.free)
-    of_free[:, running_away(twin, simulated, of_free)] = 0.0
-    columns[MAPS_AT][belief.free] = of_free
+    known = map_columns(twin, lanes, simulated, belief.free) if of_free is None else of_free
+    columns[MAPS_AT][belief.free] = known
+    columns[MAPS_AT, running_away(twin, simulated, known)] = 0.0
     for j, name in enumerate(twin.channels):
         channel = MEASURED.index(name)
         factor = 1.0 / (1.0 + belief.gains[channel])
@@ -110,21 +111,28 @@ def loadings_of(nuisances: Sequence[Nuisance]) -> Array | None:
     return np.stack(found) if found and len(found) == len(nuisances) else None
 
 
-def about(twin: Twin, lanes: Lanes, nuisances: Sequence[Nuisance], estimate: Array) -> Twin:
+def about(
+    twin: Twin, lanes: Lanes, nuisances: Sequence[Nuisance], estimate: Array
+) -> tuple[Twin, Array, Array | None]:
     """The twin about an estimate of its maps, with the readings moved by the responses taken there.
 
     Args:
         twin: that has learned something.
         lanes: one, next to which the responses are taken.
         nuisances, estimate: directions, and (K,) where along them in standard deviations.
+
+    Returns:
+        The twin, its simulation of the lane (n, C), and the responses there as of `map_columns`; none of a twin that
+        has learned nothing.
     """
     if not isinstance(twin, LearnedTwin) or twin.belief is None:
-        return twin
+        return twin, twin.simulate(lanes)[0], None
     deviation = np.tensordot(estimate, np.stack([n.loading for n in nuisances]), 1)[MAPS_AT]  # type: ignore[misc]
     other = twin.deviating(deviation, np.zeros_like(twin.measured))
     free = twin.belief.free
-    columns = map_columns(other, lanes, other.simulate(lanes)[0], free)
-    return twin.deviating(deviation, np.tensordot(deviation[free], columns, 1))
+    simulated = other.simulate(lanes)[0]
+    columns = map_columns(other, lanes, simulated, free)
+    return twin.deviating(deviation, np.tensordot(deviation[free], columns, 1)), simulated, columns
 
 
 def rebased_learned(twin: Twin, nuisances: Sequence[Nuisance], estimate: Array) -> Twin:

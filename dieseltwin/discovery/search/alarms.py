@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 from dieseltwin.discovery.laws.features import Structure, generic_features, local_features, score_features
-from dieseltwin.discovery.likelihood.fit import Fit
+from dieseltwin.discovery.likelihood.fit import Fit, Linearisation
 from dieseltwin.discovery.likelihood.score import spread, without_parameters
 from dieseltwin.discovery.search.by_recording import gained_elsewhere
 from dieseltwin.discovery.search.explanations import one_term_gains
@@ -21,14 +21,23 @@ def raises_alarm(found: Search, fit: Fit) -> bool:
     return found.beyond_chance(fit) and found.of_interest(fit)
 
 
+def clearly_named(found: Search) -> bool:
+    """Whether the best name is an alarm that needn't be verified, whatever terms without a name say."""
+    lead = found.singles[0]
+    return found.gain(lead) >= _REBASED_BELOW and raises_alarm(found, lead)
+
+
+def score_terms(found: Search, base: Linearisation) -> None:
+    """Score terms without a name and bumps of maps by what a health-only fit leaves."""
+    clock = time.perf_counter()
+    found.structure = score_features(base, generic_features(found.twin, found.null.fit))
+    found.local = score_features(base, local_features(found.twin, found.null.fit))
+    found.seconds["structure"] = time.perf_counter() - clock
+
+
 def score_unnamed(found: Search) -> tuple[bool, Structure | None]:
     """Score terms without a name: whether the best name is an alarm, and the term that is one by itself."""
-    twin = found.twin
-    base = verify(found) if found.gain(found.singles[0]) < _REBASED_BELOW else found.null
-    clock = time.perf_counter()
-    found.structure = score_features(base, generic_features(twin, found.null.fit))
-    found.local = score_features(base, local_features(twin, found.null.fit))
-    found.seconds["structure"] = time.perf_counter() - clock
+    score_terms(found, verify(found) if found.gain(found.singles[0]) < _REBASED_BELOW else found.null)
     unnamed = _unnamed(found)
     named = unnamed is not None and _explained_by_catalogue(found, unnamed)
     return named or raises_alarm(found, found.singles[0]), unnamed

@@ -19,7 +19,7 @@ from dieseltwin.discovery.likelihood.circumstances import (
     label_of,
     open_circumstances,
 )
-from dieseltwin.discovery.likelihood.fit import Fit, Linearisation
+from dieseltwin.discovery.likelihood.fit import PROMISED, Fit, Linearisation
 from dieseltwin.discovery.likelihood.learned import belief_of
 from dieseltwin.discovery.likelihood.score import score, without_parameters
 from dieseltwin.discovery.search.settled import Settled, by_leaving_out, by_taking_in, evidence_of, settle
@@ -37,6 +37,7 @@ _BESIDE = 2.0  # times as far beside an effect
 _LINEAR = 0.7  # of a gain that shifts reach by simulation, at least, is seen in their responses
 _UNSETTLED = 0.03  # of a prior's standard deviation (0.2 kPa, 0.5 K): beside a name weather is followed up to here
 _FARTHEST = 3.0  # standard deviations of its prior that a sensor's clock is looked for by whole rows
+_BENT = 60.0  # gain that circumstances may have by how the machine bends, whatever they explain linearly
 _CATALOGUE = 2  # effects at once that the catalogue explains by itself
 
 
@@ -153,8 +154,10 @@ def _moved(found: Search, twin: WithCircumstances) -> Twin | None:
     lead = leading(found)
     held = belief_of(found.twin) is not None
     movable = [item for item in _movable(twin) if not (held and item.read)]
-    moves = np.any(np.abs(_shares(found, found.null, movable)) >= [_bar(item) for item in movable])
-    alone = settle(found, twin, found.null.fit, movable, {}) if moves else None
+    shares = _shares(found, found.null, movable)
+    moves = np.any(np.abs(shares) >= [_bar(item) for item in movable])
+    tried = moves and _may_say_it_all(found, lead, movable, shares)
+    alone = settle(found, twin, found.null.fit, movable, {}) if tried else None
     if alone and (lead is found.null or alone.evidence < evidence_of(lead) + found.settings.alarm_gain):
         values = alone.values  # beside an effect: they may be all that it says
     elif lead is found.null:
@@ -170,6 +173,18 @@ def _moved(found: Search, twin: WithCircumstances) -> Twin | None:
     other = cast(WithCircumstances, twin.under({**twin.values, **values}, twin.opened))
     far = any(abs(other.values[i.name] - twin.values.get(i.name, i.assumed)) > _bar(i) * i.std for i in movable)
     return cast(Twin, other) if far else None  # sensors' clocks go by whole rows
+
+
+def _may_say_it_all(found: Search, lead: Linearisation, items: Sequence[Circumstance], shares: Array) -> bool:
+    """Whether open circumstances, simulated where the health-only fit has them (`shares`), could explain what the best
+    single effect does. That fit has them linearly: simulated they explained up to as much again, and 18 where 4 was."""
+    if lead is found.null:
+        return True
+    labels = [nuisance.label for nuisance in found.nuisances]
+    at = [labels.index(label_of(item)) for item in items]
+    covariance = found.null.metric.nuisance_covariance()[np.ix_(at, at)]
+    linear = float(shares @ np.linalg.solve(covariance, shares))
+    return found.gain(lead.fit) - found.settings.alarm_gain < max(_BENT, PROMISED * linear)
 
 
 def _bar(item: Circumstance) -> float:

@@ -33,6 +33,8 @@ from dieseltwin.discovery.twins.interface import Twin, WithSignals
 _PAIRS = 10
 _OTHER_LEADS = 3  # of pairs, behind the best single effect
 _SECONDS = 4  # that join each of them
+_TRIED = 12  # of which these are the best
+_UNDERSTATED = 2.0  # times its linear gain: what an effect adds to another one where it is simulated, at most
 _POLISHED = 4  # of the best fits get sensitivities of their own
 _POLISHED_SHARE = 0.6  # of the best gain: fits that far behind are polished too
 _POLISH_ROUNDS = 8
@@ -60,10 +62,17 @@ def _pair_gains(found: Search, items: Sequence[Scored]) -> list[tuple[float, Sco
     return sorted(out, key=lambda item: -item[0])
 
 
-def _beyond(found: Search, at: Linearisation) -> list[Scored]:
-    """What every other effect would add to a fit of one, strongest first."""
+def _beyond(found: Search, at: Linearisation, most: int | None = None) -> list[Scored]:
+    """What every other effect would add to a fit of one, strongest first; `most`: of as many that add most by the
+    responses that they have beside health alone, which turn little. None: of all."""
     without = {*found.settings.withhold, *at.fit.candidate.names}
-    wanted = secant_sizes(found.twin, [name for name in found.twin.hypotheses if name not in without])
+    names = [name for name in found.twin.hypotheses if name not in without]
+    others = [item for item in found.scored if item.name not in without]
+    if most is not None and others:
+        sizes = [(item.name, item.size) for item in others]
+        judged = best_of_each(score(at, sizes, np.stack([item.response for item in others])))
+        names = [item.name for item in judged[:most]]
+    wanted = secant_sizes(found.twin, names)
     return best_of_each(score(at, wanted, effect_responses(found.twin, at, wanted))) if wanted else []
 
 
@@ -113,12 +122,14 @@ def try_more_pairs(found: Search) -> bool:
     """
     known = {tuple(sorted(fit.candidate.names)) for fit in found.pairs}
     before = found.gain(found.pairs[0]) if found.pairs else -np.inf
+    least = max(before, found.gain(found.singles[0])) - _LEADING
     fits: list[Fit] = []
     for lead in found.singles[1 : 1 + _OTHER_LEADS]:
-        name = lead.candidate.names[0]
+        name, own = lead.candidate.names[0], found.gain(lead)
         base = Linearisation(found.twin, found.whitening, lead, found.null)
-        ranked = _beyond(found, base)[:_SECONDS]
-        seconds = [item for item in ranked if tuple(sorted((name, item.name))) not in known]
+        ranked = _beyond(found, base, _TRIED)[:_SECONDS]
+        seconds = [item for item in ranked
+                   if tuple(sorted((name, item.name))) not in known and own + _UNDERSTATED * item.gain > least]
         if not seconds:
             continue
         known |= {tuple(sorted((name, item.name))) for item in seconds}

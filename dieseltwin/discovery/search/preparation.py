@@ -43,8 +43,9 @@ from dieseltwin.discovery.likelihood.nuisance import (
 from dieseltwin.discovery.likelihood.score import chance, effect_responses, score, secant_sizes
 from dieseltwin.discovery.search.bends import bent_windows
 from dieseltwin.discovery.search.state import Search
-from dieseltwin.discovery.twins.interface import Array, Twin, rows_of
+from dieseltwin.discovery.twins.interface import Array, Lanes, Twin, rows_of
 from dieseltwin.errors import InputError
+from dieseltwin.learning.belief import Belief
 from dieseltwin.recordings.noise import Noise
 from dieseltwin.settings.search import SearchSettings
 
@@ -159,17 +160,19 @@ def _scored(null: Linearisation, noise: Noise, settings: SearchSettings) -> Sear
 
 
 def prepared_about(found: Search, fit: Fit) -> Search:
-    """As `prepare`, with what is still open of the maps linearised about an explanation, not about health alone.
+    """As `prepare`, with what is still open of the maps linearised about an explanation, not about health alone; of a
+    twin that knows its engine.
 
     The health-only fit of an engine with a fault bends its maps to the edge of what is believed, where their responses
     are others.
     """
     clock = time.perf_counter()
     residual = np.nan_to_num(found.twin.measured - simulate_fits(found.twin, [fit])[0])
-    twin = about(found.twin, fit.lanes(), found.nuisances, found.null.metric.nuisance_estimate(residual))
-    here = Linearisation(twin, found.whitening, fit)
-    nuisances = tolerances(twin, here, found.settings)
-    responses = nuisance_responses(twin, fit.lanes(), here.simulated, nuisances)
+    lanes = fit.lanes()
+    # the directions are taken where the estimate was: what was simulated for it is simulated once
+    twin, simulated, columns = about(found.twin, lanes, found.nuisances, found.null.metric.nuisance_estimate(residual))
+    nuisances = _of_learned(twin, lanes, simulated, found.whitening, columns)
+    responses = nuisance_responses(twin, lanes, simulated, nuisances)
     at = fit_fully(twin, found.whitening, found.null.fit, responses, loadings=loadings_of(nuisances))
     renewed = _scored(settle_local(at), found.noise, found.settings)
     renewed.left_out, renewed.nuisances, renewed.scatter = found.left_out, nuisances, found.scatter
@@ -192,18 +195,25 @@ def tolerances(
     if isinstance(twin, KnownErrors):
         return twin.nuisances(at.fit.lanes())
     channels = len(twin.channels)
-    belief = belief_of(twin)
-    if belief is not None:
-        return [
-            *learned_nuisances(twin, belief, at.fit.lanes(), at.simulated, at.whitening),
-            *circumstance_nuisances(twin, at.fit.lanes(), at.simulated, belief.mean.size),
-        ]
+    if belief_of(twin) is not None:
+        return _of_learned(twin, at.fit.lanes(), at.simulated, at.whitening)
     return [
         *map_nuisances(twin, twin.variables(at.fit.lanes()), settings.tolerance_factor, detail),
         *sensor_nuisances(
             twin, at.simulated, [settings.sensor_gain] * channels, [settings.sensor_offset] * channels
         ),
         *circumstance_nuisances(twin, at.fit.lanes(), at.simulated),
+    ]
+
+
+def _of_learned(
+    twin: Twin, lanes: Lanes, simulated: Array, whitening: Whitening, columns: Array | None = None
+) -> list[Nuisance]:
+    """`tolerances` of a twin that knows its engine; `columns`: as `learned_nuisances` takes them."""
+    belief = cast(Belief, belief_of(twin))
+    return [
+        *learned_nuisances(twin, belief, lanes, simulated, whitening, columns),
+        *circumstance_nuisances(twin, lanes, simulated, belief.mean.size),
     ]
 
 

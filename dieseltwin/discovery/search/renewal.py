@@ -12,9 +12,9 @@ from functools import partial
 
 import numpy as np
 
-from dieseltwin.discovery.laws.features import generic_features, local_features, score_features
 from dieseltwin.discovery.likelihood.fit import Fit, fit_fully
 from dieseltwin.discovery.likelihood.learned import belief_of
+from dieseltwin.discovery.search.alarms import score_terms
 from dieseltwin.discovery.search.explanations import leading_kind
 from dieseltwin.discovery.search.preparation import prepared_about
 from dieseltwin.discovery.search.state import Search
@@ -52,8 +52,7 @@ def about_the_leader(found: Search) -> bool:
         if not same and renewal == _RENEWALS - 1:
             found.unsettled = [*found.unsettled, lead.candidate.names, after.candidate.names]
     if renewed:
-        found.structure = score_features(found.null, generic_features(found.twin, found.null.fit))
-        found.local = score_features(found.null, local_features(found.twin, found.null.fit))
+        score_terms(found, found.null)
     return renewed
 
 

@@ -13,8 +13,10 @@ from dieseltwin.discovery.likelihood.learned import belief_of
 from dieseltwin.discovery.likelihood.refit import nearer, refit_all
 from dieseltwin.discovery.likelihood.score import best_of_each
 from dieseltwin.discovery.search.alarms import (
+    clearly_named,
     hidden_bar,
     raises_alarm,
+    score_terms,
     score_unnamed,
     shown_by_simulation,
     shown_in_part,
@@ -101,7 +103,7 @@ def carry_on(
     left = None if time_s is None else time_s - (time.perf_counter() - began)
     try:
         with time_limit(left):
-            _explain(found)
+            _explain(found, in_full=time_s is not None)
             if time_s is not None or not is_made_again(found):  # what it leaves without a law says so already
                 found = _in_own_weather(found)
                 if found.kind == "law" and laws:
@@ -207,14 +209,19 @@ def _in_short(twin: Twin, settings: SearchSettings, earlier: Sequence[Search] = 
     return found
 
 
-def _explain(found: Search) -> None:
-    """Everything beyond single effects but a law: what has no name, onsets and regions, two effects."""
+def _explain(found: Search, *, in_full: bool = False) -> None:
+    """Everything beyond single effects but a law: what has no name, onsets and regions, two effects.
+
+    `in_full`: terms without a name are scored first in any case. Else that waits, where the best name is an alarm
+    whatever they say, until they are chosen from: they are scored anew where the likelihood is renewed.
+    """
     found.kind, found.best, found.stage = "healthy", None, STAGES[0]
     found.scanned = scan_all(found.null, found.scored, found.settings.least_share)
     tried = [*found.scanned, *(variant for variant, _ in found.variants)]
     once = [variant for variant in tried if not variant.gone]  # many parts follow the driving where a map is off
     hidden = any(variant.gain > hidden_bar(found, variant) for variant in once)
-    alarm, unnamed = score_unnamed(found)
+    waits = not in_full and not found.structure and clearly_named(found)
+    alarm, unnamed = (True, None) if waits else score_unnamed(found)
     clock = time.perf_counter()
     if alarm or hidden:
         found.stage = "onsets and regions"
@@ -243,7 +250,10 @@ def _explain(found: Search) -> None:
 
 def _choose_settled(found: Search, first: Linearisation) -> None:
     """The choice among all, with what was learned of the maps about the explanation that leads."""
-    choose(found, None if about_the_leader(found) else first)
+    renewed = about_the_leader(found)
+    if not found.structure:
+        score_terms(found, found.null)
+    choose(found, None if renewed else first)
 
 
 def _lead(found: Search) -> Fit:

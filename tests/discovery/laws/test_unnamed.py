@@ -50,6 +50,22 @@ def test_a_term_outdoes_the_wrong_name(withheld: _Withheld) -> None:
     assert best_term(withheld.toy, found.whitening, found.null, withheld.structure, wrong + 15.0) > wrong + 15.0
 
 
+def test_terms_far_from_what_is_needed_are_not_simulated(withheld: _Withheld, monkeypatch: pytest.MonkeyPatch) -> None:
+    inside = leading(withheld.structure)
+    best, few = inside[0].gain, leading(withheld.structure, 2.5 * inside[0].gain)
+    assert few and few == inside[: len(few)]
+    assert leading(withheld.structure, 3.0 * best + 60.0) == []
+    found = withheld.found
+    monkeypatch.setattr(withheld.toy, "simulate", None)
+    assert best_term(withheld.toy, found.whitening, found.null, withheld.structure, 3.0 * best + 60.0) == 0.0
+
+
+def test_a_weak_term_is_simulated_where_little_is_needed(withheld: _Withheld) -> None:
+    """A linear score of 12 was 51 by simulation: near what is needed no share of it refuses a term."""
+    weak = [replace(item, gain=12.0) for item in withheld.structure]
+    assert leading(weak, 51.0)
+
+
 def test_what_is_left_is_scored_as_without_the_scores_before(withheld: _Withheld) -> None:
     """Beside a health parameter that is off: scores at the fit tell which terms are worth a simulation, and no more."""
     found = withheld.found

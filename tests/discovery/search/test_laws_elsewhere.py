@@ -63,7 +63,7 @@ def test_a_law_stays_where_the_time_ends_behind_it(monkeypatch: pytest.MonkeyPat
         return found
 
     begun = prepare(cast(Twin, _twin()), Options().settings())
-    monkeypatch.setattr(search_run, "_explain", lambda found: setattr(found, "kind", "law"))
+    monkeypatch.setattr(search_run, "_explain", lambda found, **_: setattr(found, "kind", "law"))
     monkeypatch.setattr(search_run, "_in_own_weather", lambda found: found)
     monkeypatch.setattr(search_run, "_with_law", with_law)
     monkeypatch.setattr(search_run, "_with_reading_in_time", out_of_time)
