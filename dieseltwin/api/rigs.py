@@ -21,10 +21,11 @@ from dieseltwin.discovery.verdict.document import Discrepancy
 from dieseltwin.discovery.verdict.explain import Known, answers
 from dieseltwin.errors import InputError
 from dieseltwin.notes import READING, Note
-from dieseltwin.rigs.discover import Options, RigDiscovery, discover_rig
+from dieseltwin.rigs.discover import discover_rig
 from dieseltwin.rigs.fitting import fitted_surely
 from dieseltwin.rigs.parameters import RigParameters, save_rig
 from dieseltwin.rigs.recording import RigRecording
+from dieseltwin.rigs.rounds import Options, RigDiscovery
 from dieseltwin.rigs.simulate import run_error, simulate_rig
 from dieseltwin.rigs.twin import model_of
 from dieseltwin.rigs.verdict import HOLD, LEFT, LONG_STEPS, UNEXPLAINED, details, document, sentence, unseen

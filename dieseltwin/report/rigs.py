@@ -19,11 +19,11 @@ from dieseltwin.report.law_cards import Told, law_cards
 from dieseltwin.report.page import Page, Section, Table
 from dieseltwin.report.quantities import EMPTY
 from dieseltwin.report.style import AFTER, BEFORE, MEASURED
-from dieseltwin.rigs.discover import RigDiscovery
 from dieseltwin.rigs.equations import equations
 from dieseltwin.rigs.expressions import names_in
 from dieseltwin.rigs.parameters import RigParameters
 from dieseltwin.rigs.recording import RigRecording
+from dieseltwin.rigs.rounds import RigDiscovery
 from dieseltwin.rigs.simulate import simulate_rig
 from dieseltwin.rigs.verdict import LEFT, shares, unseen
 

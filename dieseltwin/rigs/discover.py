@@ -12,17 +12,17 @@ then, where all that has a name leaves more than noise.
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
-from typing import cast
+from dataclasses import replace
+from typing import Any, cast
 
 import numpy as np
 
 from dieseltwin.discovery.laws.search import Law
 from dieseltwin.discovery.laws.sensor import best_law
+from dieseltwin.discovery.laws.twin import Placed
 from dieseltwin.discovery.likelihood.fit import Fit, Linearisation, fit_fully
-from dieseltwin.discovery.options import SearchOptions
 from dieseltwin.discovery.search import run as search
 from dieseltwin.discovery.search.preparation import recentred
 from dieseltwin.discovery.search.state import Search
@@ -35,139 +35,18 @@ from dieseltwin.rigs.fitting import (
     fitted_otherwise,
     fitted_surely,
     foretold,
-    rms_left,
-    times_noise,
 )
 from dieseltwin.rigs.later_laws import later_law, writable
 from dieseltwin.rigs.onsets import dated, first_course
-from dieseltwin.rigs.parameters import RigParameters, RigTerm
+from dieseltwin.rigs.parameters import LawFactor, RigLaw, RigParameters, RigTerm
 from dieseltwin.rigs.recording import RigRecording
-from dieseltwin.rigs.repaired import explanation, machine_with
+from dieseltwin.rigs.rounds import Course, Options, RigDiscovery, Round, onset_of
 from dieseltwin.rigs.twin import RigTwin, When
-from dieseltwin.settings.defaults import default_search
 from dieseltwin.settings.search import RigSettings
 
 _PASSES = 4  # of a round: the misfit of an explanation says how large gains are, until the explanation stays
-LOUD = 3.0
-"""Times the noise, by which a repaired machine may miss a reading without a word."""
 _FAR_BEHIND = 4.0  # what leaves so many times the squared misfit of another explanation isn't gone after
 _DATINGS = 3  # of what a round names: with its own onset other names may be ahead
-
-
-@dataclass(frozen=True, kw_only=True)
-class Options(SearchOptions):
-    """What a user may choose.
-
-    Attributes:
-        law_search: look for a law where no name fits.
-    """
-
-    law_search: bool = True
-    search: RigSettings = field(default_factory=lambda: default_search().rigs)
-
-
-@dataclass(frozen=True)
-class Round:
-    """One round of the search.
-
-    Attributes:
-        found: the search.
-        names: what it would add.
-        law: or the law.
-        before, after: rms error of free runs over the last part of the recording, by machines that were fitted to the
-            first part, (C,) [units of the readings]; NaN for a reading that is absent there.
-        taken: whether they are good enough.
-        early: the machine of `after`; None where it runs away, and where there was nothing to try.
-        when: it is so [time stamps, s]; None: from the first row on.
-    """
-
-    found: Search
-    names: tuple[str, ...]
-    law: Law | None
-    before: Array
-    after: Array
-    taken: bool
-    early: RigParameters | None = None
-    when: When | None = None
-
-
-@dataclass(frozen=True)
-class _Course:
-    """Rounds one after another: the machine that they lead to, its fit, and that of before fitted to the first part."""
-
-    rounds: tuple[Round, ...]
-    machine: RigParameters
-    fit: Linearisation
-    early: RigParameters | None = None
-
-    @property
-    def finds(self) -> bool:
-        """Whether anything was taken."""
-        return any(item.taken for item in self.rounds)
-
-    @property
-    def is_loud(self) -> bool:
-        """Whether a reading is missed by more than noise, in the fit or in free runs that none has seen."""
-        left = [rms_left(self.fit), *(item.after for item in self.rounds if item.taken)][::-1][:2]
-        return any((times_noise(self.fit, errors) > LOUD).any() for errors in left)
-
-    @property
-    def silent(self) -> bool:
-        """Whether nothing is missing."""
-        return not self.finds and self.rounds[-1].found.kind == "healthy"
-
-
-@dataclass(frozen=True)
-class RigDiscovery:
-    """What a rig's file leaves out.
-
-    Attributes:
-        recording, options: as asked.
-        before, repaired: the machine fitted to the recording, without and with what was found.
-        fit_before, fit_after: of their windows.
-        fit_otherwise: as `fit_before`, with the inputs taken the other way between rows; None where that runs away.
-        rounds: of the search; the last one took nothing, or most were named.
-        seconds: wall time.
-        early: the machine without what was found, fitted to the first part; None where it runs away, and where there
-            was nothing to try.
-    """
-
-    recording: RigRecording
-    options: Options
-    before: RigParameters
-    repaired: RigParameters
-    fit_before: Linearisation
-    fit_after: Linearisation
-    fit_otherwise: Linearisation | None
-    rounds: tuple[Round, ...]
-    seconds: float
-    early: RigParameters | None = None
-
-    @property
-    def taken(self) -> tuple[Round, ...]:
-        """Rounds whose finding is part of the repaired machine."""
-        return tuple(item for item in self.rounds if item.taken)
-
-    @property
-    def when(self) -> When | None:
-        """When the first finding is so [time stamps, s]; None: from the first row on, and where there is none."""
-        return self.rounds[0].when if self.taken else None
-
-    @property
-    def begun(self) -> tuple[str, ...]:
-        """Names of what is so then only; none where all is so from the first row on."""
-        return () if self.when is None else self.rounds[0].names
-
-    @property
-    def checked(self) -> slice:
-        """The rows that judged what was found."""
-        return checked_rows(self.recording, self.options.search.checked_share, _onset(self.when))
-
-    @property
-    def more_is_missing(self) -> bool:
-        """Whether the last round saw something that has no name and no law that foretells."""
-        last = self.rounds[-1]
-        return not last.taken and last.found.kind != "healthy"
 
 
 def discover_rig(recording: RigRecording, rig: RigParameters, options: Options | None = None) -> RigDiscovery:
@@ -193,9 +72,9 @@ def discover_rig(recording: RigRecording, rig: RigParameters, options: Options |
 def _best_course(
     before: RigParameters, fit: Linearisation, recording: RigRecording, options: Options, found: Search,
     midway: Linearisation | None,
-) -> _Course:  # fmt: skip
-    """The course of rounds with an onset where it leaves clearly less, else the one without; with a law of what begins
-    in the middle where names leave more than noise, and it clearly less.
+) -> Course:  # fmt: skip
+    """The course of rounds with an onset where it leaves clearly less, else the one without; the one with a law of what
+    begins in the middle where that one leaves more than noise, and this one clearly less.
 
     Args:
         before, fit: the machine without what is missing, and its fit.
@@ -203,7 +82,7 @@ def _best_course(
         found: the first search of what is so from the first row on.
         midway: what explains most where it begins in the middle.
     """
-    course = _course_of_names(before, fit, recording, options, found, midway)
+    course = _course_without_later_laws(before, fit, recording, options, found, midway)
     if not options.law_search or not course.is_loud:
         return course
     law = later_law(fit, options.search, _FAR_BEHIND * _left_by(course.fit, fit) / _left_by(fit, fit))
@@ -212,18 +91,32 @@ def _best_course(
     with suppress(np.linalg.LinAlgError):  # it runs away with the law
         begun = _course(before, fit, recording, options, found, When(law.since_s), law)
         if begun.finds and _ahead(begun.fit, course, begun.fit, options.search):
-            return begun
+            return _beside_law(begun, law, before, recording, options)
     return course
 
 
-def _course_of_names(
+def _beside_law(
+    course: Course, law: Law, before: RigParameters, recording: RigRecording, options: Options
+) -> Course:
+    """A course whose first round is a law of what begins in the middle, with the search that says what else could have
+    been seen then: in the size of the misfit that the course leaves."""
+    first = course.rounds[0]
+    twin = RigTwin(before, recording, before.window_s).about(course.fit.residual).acting(cast(When, first.when))
+    with suppress(np.linalg.LinAlgError):  # an effect that the machine runs away with: the search of before stays
+        found = search.run(twin, options.settings(), laws=False)
+        found.kind, found.best, found.law = "law", None, law
+        return replace(course, rounds=(replace(first, found=found), *course.rounds[1:]))
+    return course
+
+
+def _course_without_later_laws(
     before: RigParameters, fit: Linearisation, recording: RigRecording, options: Options, found: Search,
     midway: Linearisation | None,
-) -> _Course:  # fmt: skip
-    """As `_best_course`, without laws of what begins in the middle."""
+) -> Course:  # fmt: skip
+    """As `_best_course`, without a law of what begins in the middle."""
     settings = options.search
 
-    def begun(midway: Linearisation) -> _Course | None:
+    def begun(midway: Linearisation) -> Course | None:
         """The course with an onset; None where it finds nothing, or runs away with it."""
         try:
             course = _course(before, fit, recording, options, *_then(midway, options))
@@ -256,7 +149,7 @@ def _left_by(fit: Linearisation, measure: Linearisation) -> float:
     return float(np.nansum((fit.residual / size) ** 2))
 
 
-def _ahead(fit: Linearisation, course: _Course, measure: Linearisation, settings: RigSettings) -> bool:
+def _ahead(fit: Linearisation, course: Course, measure: Linearisation, settings: RigSettings) -> bool:
     """Whether a fit leaves clearly less than a course of rounds without an onset."""
     its = _left_by(course.fit, measure)
     gained = its - _left_by(fit, measure)
@@ -269,12 +162,12 @@ def _ahead(fit: Linearisation, course: _Course, measure: Linearisation, settings
 def _course(
     here: RigParameters, fit: Linearisation, recording: RigRecording, options: Options, found: Search,
     when: When | None = None, first: Law | None = None,
-) -> _Course:  # fmt: skip
+) -> Course:  # fmt: skip
     """Rounds until nothing is left that a search can tell, after a first search of what is so at a time, or a law."""
     settings, early = options.search, None
     rounds: list[Round] = []
     none = np.zeros(0)
-    errors, checked = none, checked_rows(recording, settings.checked_share, _onset(when))
+    errors, checked = none, checked_rows(recording, settings.checked_share, onset_of(when))
     while len(rounds) < settings.most_effects and _left(here, options):
         then = when if not rounds else None
         if rounds:
@@ -288,7 +181,7 @@ def _course(
             break
         if not rounds:
             errors, early = foretold(here, recording, checked)
-        candidate = machine_with(here, found, names, law, then)
+        candidate = _machine_with(here, found, names, law, then)
         bar = settings.gain_of_law if law is not None else settings.loss_of_name
         later, by = foretold(candidate, recording, checked)
         taken = _foretells(later, errors, bar)
@@ -302,7 +195,7 @@ def _course(
         if not taken:
             break
         here, fit, errors = repaired, refit, later
-    return _Course(tuple(rounds), here, fit, early)
+    return Course(tuple(rounds), here, fit, early)
 
 
 def _foretells(later: Array, errors: Array, bar: float) -> bool:
@@ -316,10 +209,6 @@ def _sure(term: RigTerm, settings: RigSettings) -> bool:
     return term.std is None or abs(term.magnitude) > settings.second_size_std * term.std
 
 
-def _onset(when: When | None) -> float | None:
-    return None if when is None else when.onset_s
-
-
 def _then(midway: Linearisation, options: Options) -> tuple[Search, When]:
     """The search of what acts when an effect does, and that time, moved until it is that of what is named."""
     settings, twin = options.search, cast(RigTwin, midway.twin).about(midway.residual)
@@ -329,7 +218,7 @@ def _then(midway: Linearisation, options: Options) -> tuple[Search, When]:
         names = found.names_for_round(found.null.fit.objective, settings.least_explained)
         if not names:
             break
-        moved = dated(cast(RigTwin, found.twin), found.whitening, explanation(found, names), settings)
+        moved = dated(cast(RigTwin, found.twin), found.whitening, _explanation(found, names), settings)
         if cast(RigTwin, moved.twin).when == twin.when:
             break
         twin = cast(RigTwin, moved.twin).about(moved.residual)
@@ -391,3 +280,33 @@ def _tolerances(found: Search, fit: Fit) -> float:
 
 def _law(found: Search) -> Law | None:
     return writable(best_law(found.twin, found.null, found.everything_unnamed()))
+
+
+def _machine_with(
+    rig: RigParameters, found: Search, names: tuple[str, ...], law: Law | None, then: When | None = None
+) -> RigParameters:
+    """The machine with what a round found, parameters as the search left them."""
+    recording = cast(RigTwin, found.twin).recording
+    if law is not None:
+        more = tuple(_written(placed, law.text, recording.sha256) for placed in law.placed)
+        return rig.model_copy(update={"laws": (*rig.laws, *more)})
+    at = _explanation(found, names)
+    sizes: Mapping[str, float] = dict(zip(at.candidate.names, map(float, at.magnitudes), strict=True))
+    parameters = {name: p.model_copy(update={"value": float(value)})
+                  for (name, p), value in zip(rig.parameters.items(), at.parameters, strict=False)}
+    when: dict[str, Any] = {} if then is None else {**vars(then), "found_in": recording.sha256}
+    terms = (*rig.terms, *(RigTerm(effect=name, magnitude=sizes[name], **when) for name in names))
+    return rig.model_copy(update={"parameters": parameters, "terms": terms})
+
+
+def _explanation(found: Search, names: tuple[str, ...]) -> Fit:
+    """The fit of what a round takes."""
+    return found.best.fit if found.best is not None and found.best.fit.candidate.names == names else found.singles[0]
+
+
+def _written(placed: Placed, text: str, sha256: str) -> RigLaw:
+    form = placed.form
+    factors = tuple(LawFactor(kind=f.kind, variables=f.variables, references=f.references, shape=float(f.shape),
+                              units=f.units) for f in form.factors)  # fmt: skip
+    begun = {} if form.since_s is None else {"onset_s": form.since_s, "found_in": sha256}
+    return RigLaw(at=form.point, coefficient=float(placed.coefficient), factors=factors, text=text, **begun)

@@ -23,7 +23,7 @@ from dieseltwin.rigs.twin import RigTwin
 from dieseltwin.settings.search import RigSettings
 
 _PASSES = 3  # the misfit that a law leaves says how large gains are, until the law stays
-_LESS = 0.99  # of the misfit of the law before, that another one must leave
+_LESS, _EVEN = 0.99, 1.01  # of the misfit of the law before, that another one, and the same one again, may leave
 
 
 def writable(law: Law | None) -> Law | None:
@@ -40,24 +40,23 @@ def later_law(at: Linearisation, settings: RigSettings, most: float) -> Law | No
     Args:
         at: the rig fitted without it.
         settings: of the search.
-        most: share of the squared misfit that a term, to first order, may leave for a law to be looked for [-].
+        most: share of the squared misfit that a term, to first order, may leave for a law to be looked for [-]; from 1
+            on any term will do.
     """
     law: Law | None = None
     least = np.inf
-    since = _strongest(at, settings)
-    if since is None or since[1][0].gain < (1.0 - most) * at.fit.objective:
-        return None
     with suppress(np.linalg.LinAlgError):  # the machine runs away with a law: the one before stays
-        for _ in range(_PASSES):
-            since = since or _strongest(at, settings)
-            found = None if since is None else best_law(cast(RigTwin, at.twin), at, since[1], since_s=since[0])
+        for turn in range(_PASSES):
+            since = _strongest(at, settings)
+            if since is None or (turn == 0 and since[1][0].gain < (1.0 - most) * at.fit.objective):
+                break
+            found = best_law(at.twin, at, since[1], since_s=since[0])
             if found is None:
                 break
-            since = None
             at = _about_what_is_left(at, found)
-            left = float(np.exp(np.log(cast(RigTwin, at.twin).misfit).mean()))
+            left = float(np.exp(np.nanmean(np.log(cast(RigTwin, at.twin).misfit))))
             stays = law is not None and _same(found, law)
-            if not stays and left > _LESS * least:
+            if left > least * (_EVEN if stays else _LESS):
                 break  # far from the machine as it is, a sum of two comes near to what one term says
             law, least = found, min(left, least)
             if stays:

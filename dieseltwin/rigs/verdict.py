@@ -34,8 +34,8 @@ from dieseltwin.discovery.verdict.health_value import HealthValue
 from dieseltwin.discovery.verdict.reasons import candidate_rows
 from dieseltwin.discovery.verdict.when import when_words
 from dieseltwin.notes import Note, listing
-from dieseltwin.rigs.discover import LOUD, RigDiscovery, Round
 from dieseltwin.rigs.fitting import rms_left, times_noise
+from dieseltwin.rigs.rounds import LOUD, RigDiscovery, Round
 from dieseltwin.rigs.simulate import step_error
 from dieseltwin.rigs.twin import RigTwin
 from dieseltwin.version import __version__
@@ -46,6 +46,7 @@ LONG_STEPS = "long_steps"
 UNEXPLAINED = "wrong_engine"
 HOLD = "hold"
 LEFT = "residuals"
+SENSORS = "no_sensor_site"
 TAKEN_UP = 0.03  # of what an effect does to the readings, that parameters leave where they say the same
 MOVED = 0.2  # of the parameter that moves farthest
 LEFT_BY_HOLD = 0.8  # of the error (rms); another way between rows leaves less than that where it is the right one
@@ -70,14 +71,15 @@ def document(result: RigDiscovery) -> Discrepancy:
         minimum_detectable=finite_only(minimum_detectable(first.found.scored, first.found.settings.alarm_gain)),
         provenance=Provenance(code_version=__version__, params_sha256=result.options.sha256),
     )  # fmt: skip
-    own = (*_unexplained(result, made.fit), *_left_notes(result), *_step_notes(result), *_hold_notes(result))
+    own = (*_unexplained(result, made.fit), *_left_notes(result), *_step_notes(result), *_hold_notes(result),
+           *_sensor_notes(result))  # fmt: skip
     doubts = [*fit_doubts(made), *own, *recording.notes]
     return with_warnings(made, doubts)
 
 
 def _p_value(first: Round) -> float:
     """Probability that chance alone gives as much as the first finding."""
-    if first.law is not None and first.when is not None:  # the search was for what is there from the first row on
+    if first.law is not None and first.when is not None:  # its search is of names that begin then
         return float(np.clip(first.found.chance.p_value(first.law.gain), 0.0, 1.0))
     return p_value(first.found)
 
@@ -161,6 +163,22 @@ def _said_by(at: Linearisation, item: Scored) -> list[str]:
         return []
     moved = np.abs(left[rows : rows + len(at.twin.parameters)])  # in deviations of what is believed
     return [at.twin.parameters[k].name for k in np.argsort(-moved) if moved[k] > MOVED * moved.max()]
+
+
+def _sensor_notes(result: RigDiscovery) -> list[Note]:
+    """Readings for whose sensors the file has no place, where a law was found: an offset of one that began was "0.4 N
+    more", which shows the same."""
+    if all(item.law is None for item in result.taken):
+        return []
+    rig = result.repaired
+    places = {*(effect.site for effect in rig.effects.values()), *(q.site for q in rig.quantities.values())}
+    missing = [name for name in rig.readings if f"sensor:{name}" not in places]
+    if not missing:
+        return []
+    text = (f"the file has no place for what a sensor does wrong ({listing(missing)}), so that a reading that is off "
+            "may be a law elsewhere that shows the same; give it a quantity or an effect with such a site "
+            f"(sensor:{missing[0]})")  # fmt: skip
+    return [Note(text, SENSORS, missing)]
 
 
 def _hold_notes(result: RigDiscovery) -> list[Note]:
@@ -271,9 +289,8 @@ def sentence(result: RigDiscovery, found: Discrepancy) -> str:
         left = ", ".join(_measured(result, column, f"{rmse:.3g}") for column, rmse in found.fit.rmse_after.items())
         return f"No mismatch of {name} beyond what its recording can tell; its fit leaves {left} (rms)."
     told = []
-    for place, e in enumerate(found.effects):
-        begun = e.name in result.begun or (place == 0 and e.magnitude is None and result.when is not None)
-        when = f" {when_words(found.location)}" if begun else ""
+    for e in found.effects:
+        when = f" {when_words(found.location)}" if e.name in result.begun else ""
         if e.magnitude is None:
             if e.law != MORE:
                 told.append(f"none of the known effects: {e.law}{when}")

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from dieseltwin.rigs.discover import Options, RigDiscovery, discover_rig
+from dieseltwin.rigs.discover import discover_rig
 from dieseltwin.rigs.parameters import load_rig
 from dieseltwin.rigs.recording import read_rig
+from dieseltwin.rigs.rounds import Options, RigDiscovery
 from dieseltwin.rigs.simulate import run_error
 from dieseltwin.settings.defaults import default_search
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import cache
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ import pandas as pd
 import pytest
 
 import dieseltwin as dt
+from dieseltwin.rigs import rounds
 from dieseltwin.rigs.parameters import RigParameters
 
 CART: dict[str, Any] = {
@@ -88,6 +90,27 @@ def test_a_misfit_without_a_name_or_a_law_is_no_clean_bill() -> None:
     assert not found.document.effects and "something is missing" in found.sentence
     (doubt,) = [item for item in found.document.warnings if item.code == "residuals"]
     assert doubt.text in found.sentence and "times its noise" in doubt.text
+
+
+def test_a_sensor_that_has_no_place_in_the_file_is_a_law_elsewhere_and_that_is_said() -> None:
+    """An offset since 25 s was "no mismatch". A force that is as large over the drag shows the same."""
+    found = dt.discover(driven().assign(v_m_s=lambda t: t["v_m_s"] + 0.2 * (t["time_s"] > 25.0)), rig())
+    assert "added to net: 0.4" in found.sentence and "since 25 s" in found.sentence
+    (doubt,) = [item for item in found.document.warnings if item.code == "no_sensor_site"]
+    assert doubt.affects == ("v_m_s",) and "sensor:v_m_s" in doubt.text
+
+
+def test_what_the_last_finding_leaves_says_whether_more_is_looked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    quiet, loud = np.array([1.0]), np.array([20.0])
+    monkeypatch.setattr(rounds, "times_noise", lambda at, errors: errors)
+    monkeypatch.setattr(rounds, "rms_left", lambda at: at)
+
+    def course(fit: np.ndarray, *foretold: np.ndarray) -> rounds.Course:
+        taken = tuple(SimpleNamespace(after=errors, taken=True) for errors in foretold)
+        return rounds.Course(taken, rig(), fit)  # type: ignore[arg-type]
+
+    assert not course(quiet, loud, quiet).is_loud  # before the second finding something was missing, by itself
+    assert course(loud, quiet, quiet).is_loud and course(quiet, loud).is_loud and course(loud).is_loud
 
 
 def test_a_recording_that_is_not_the_machines_is_no_clean_bill() -> None:

@@ -16,6 +16,7 @@ from dieseltwin.rigs.fitting import checked_rows
 from dieseltwin.rigs.parameters import RigParameters, RigTerm, load_rig, save_rig
 from dieseltwin.rigs.recording import read_rig
 from dieseltwin.rigs.simulate import simulate_rig
+from dieseltwin.rigs.twin import RigTwin
 from tests.pages import without_pictures
 
 K, LEAK, ONSET_S, NOISE = 0.5, 0.1, 23.0, 0.005
@@ -94,7 +95,11 @@ def test_what_has_no_name_and_begins_later_is_a_law_since_then(tmp_path: Path) -
     location = result.document.location
     assert location is not None and location.site == "tank" and location.onset_s == pytest.approx(ONSET_S, abs=0.2)
     assert "none of the known effects: added to balance" in result.sentence and "since 23 s" in result.sentence
+    smallest = result.document.minimum_detectable  # in the size of what the law leaves
+    assert smallest["offset"] is not None and smallest["offset"] < 2.0 * NOISE
     result.save(tmp_path / "found")
+    page = (tmp_path / "found" / "report.html").read_text(encoding="utf-8")
+    assert "Each as it would be since 23 s" in page
     rig = load_rig(tmp_path / "found" / "engine.yaml")
     (law,) = rig.laws
     assert law.at == "balance" and law.onset_s == location.onset_s and not rig.terms
@@ -153,6 +158,12 @@ def test_of_an_effect_that_does_not_show_no_size_is_claimed(tmp_path: Path) -> N
     dt.discover(tmp_path / "a.csv", engine=RIG).save(tmp_path / "out")
     shown = {row["name"]: row["std"] for row in load_details(tmp_path / "out")["candidates"]}
     assert (shown["overflow"] or np.inf) > 1e6 > 1e3 * shown["offset"]
+
+
+def test_the_date_of_a_law_is_moved_down_to_a_row() -> None:
+    reaches = RigTwin(RIG, read_rig(recorded(0.0, 0.0, 40.0), RIG), 10.0).onset_reaches_s
+    assert reaches[0] == pytest.approx(40.0 / 24.0) and reaches[-1] / 2.0 < 0.1 < reaches[-1]
+    assert np.allclose(np.divide(reaches[:-1], reaches[1:]), 2.0)
 
 
 def test_what_judges_an_onset_lies_behind_it(found: Path) -> None:

@@ -8,7 +8,7 @@ free where it didn't, and what maps and sensors have in common is one direction,
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol, runtime_checkable
+from typing import Protocol, cast, runtime_checkable
 
 import numpy as np
 
@@ -111,9 +111,7 @@ def loadings_of(nuisances: Sequence[Nuisance]) -> Array | None:
     return np.stack(found) if found and len(found) == len(nuisances) else None
 
 
-def about(
-    twin: Twin, lanes: Lanes, nuisances: Sequence[Nuisance], estimate: Array
-) -> tuple[Twin, Array, Array | None]:
+def about(twin: Twin, lanes: Lanes, nuisances: Sequence[Nuisance], estimate: Array) -> tuple[Twin, Array, Array]:
     """The twin about an estimate of its maps, with the readings moved by the responses taken there.
 
     Args:
@@ -122,17 +120,15 @@ def about(
         nuisances, estimate: directions, and (K,) where along them in standard deviations.
 
     Returns:
-        The twin, its simulation of the lane (n, C), and the responses there as of `map_columns`; none of a twin that
-        has learned nothing.
+        The twin, its simulation of the lane (n, C), and the responses there as of `map_columns`.
     """
-    if not isinstance(twin, LearnedTwin) or twin.belief is None:
-        return twin, twin.simulate(lanes)[0], None
+    known = cast(LearnedTwin, twin)
     deviation = np.tensordot(estimate, np.stack([n.loading for n in nuisances]), 1)[MAPS_AT]  # type: ignore[misc]
-    other = twin.deviating(deviation, np.zeros_like(twin.measured))
-    free = twin.belief.free
+    other = known.deviating(deviation, np.zeros_like(twin.measured))
+    free = cast(Belief, known.belief).free
     simulated = other.simulate(lanes)[0]
     columns = map_columns(other, lanes, simulated, free)
-    return twin.deviating(deviation, np.tensordot(deviation[free], columns, 1)), simulated, columns
+    return known.deviating(deviation, np.tensordot(deviation[free], columns, 1)), simulated, columns
 
 
 def rebased_learned(twin: Twin, nuisances: Sequence[Nuisance], estimate: Array) -> Twin:

@@ -61,9 +61,9 @@ def recorded_twin(
         if likelier(found, other, lambda _: 0.0) is other:
             twin, found = quick, other
     shown = found.twin
-    if not isinstance(shown, WithCircumstances):
+    if not isinstance(shown, LoggedTwin):
         return twin
-    values = {item.name: shown.values.get(item.name, item.assumed) for item in open_of(shown)}
+    values = {item.name: shown.asked.get(item.name, item.assumed) for item in open_of(shown)}
     far = {item.name for item in open_of(shown) if item.kind or abs(values[item.name] - item.assumed) > _FAR * item.std}
     return twin.under({name: value for name, value in values.items() if name in far}, shown.opened)
 

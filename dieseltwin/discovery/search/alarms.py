@@ -29,15 +29,16 @@ def clearly_named(found: Search) -> bool:
 
 def score_terms(found: Search, base: Linearisation) -> None:
     """Score terms without a name and bumps of maps by what a health-only fit leaves."""
-    clock = time.perf_counter()
     found.structure = score_features(base, generic_features(found.twin, found.null.fit))
     found.local = score_features(base, local_features(found.twin, found.null.fit))
-    found.seconds["structure"] = time.perf_counter() - clock
 
 
 def score_unnamed(found: Search) -> tuple[bool, Structure | None]:
     """Score terms without a name: whether the best name is an alarm, and the term that is one by itself."""
-    score_terms(found, verify(found) if found.gain(found.singles[0]) < _REBASED_BELOW else found.null)
+    base = verify(found) if found.gain(found.singles[0]) < _REBASED_BELOW else found.null
+    clock = time.perf_counter()
+    score_terms(found, base)
+    found.seconds["structure"] = time.perf_counter() - clock
     unnamed = _unnamed(found)
     named = unnamed is not None and _explained_by_catalogue(found, unnamed)
     return named or raises_alarm(found, found.singles[0]), unnamed

@@ -167,6 +167,11 @@ class LoggedTwin(EngineTwin):
         delays = {name for item in untimed for name in item.effects if EFFECTS[name].enters.operator == "dead_time"}
         self.hypotheses = {name: item for name, item in self.hypotheses.items() if name not in delays}
 
+    @property
+    def asked(self) -> dict[str, float]:
+        """`values` with what clocks lie beyond whole rows, as another twin has to be asked for the same."""
+        return {name: value + self._beyond_rows[name] for name, value in self.values.items()}
+
     def under(self, values: Mapping[str, float], opened: frozenset[str], like: bool = False) -> LoggedTwin:
         """The twin of the recording under other circumstances; `like`: near these, with the windows and holes of this
         one."""
@@ -250,22 +255,22 @@ class LoggedTwin(EngineTwin):
             for column, key in _CONSTANT.items()
         }
         combined, schedules = self.combined(lanes)
-        for k, name in enumerate(names):
-            if name in (_EARLIER, _LATER):
-                many.local[1 + k] += steps[k] * self._local_rates(lanes)
+        moved = [name in (_EARLIER, _LATER) for name in names]
+        if any(moved):
+            many.local[1:][moved] += steps[moved][:, None, None] * self._local_rates(lanes)
         moves = [("", 0.0), *zip(names, steps, strict=True)]
         actuations = [self._actuation_with(name, step, combined, schedules) for name, step in moves]
         seen = self.driven(many, actuations, constants)
         return np.asarray((seen[1:] - seen[0]) / steps[:, None, None])
 
     def _local_rates(self, lanes: Lanes) -> Array:
-        """By how much the first states (W, 1) of the windows change in a second, along lane 0.
+        """By how much the first states (W, 1) of the windows change in a second, along lane 0; to either side alike.
 
         All inputs earlier, and the states with them: a turbo speed that rises by 1300 rad/s in each second as a window
         begins was still where it had been, and of its sensor's clock no more was told there than its inertia lets it
         forget. Healthy engines with clocks 0.3 s off had "omega_t reads 0.08 s behind".
         """
-        speed = self._integrate(some_lanes(lanes, slice(0, 1))).states[0, :, 2]
+        speed = self._memory.trajectories(some_lanes(lanes, slice(0, 1)), self._integrate).states[0, :, 2]
         both = np.stack([self.starts, self.starts + 1])  # a window has more rows than one
         return np.asarray(np.diff(speed[both], axis=0) / np.diff(self.time_s[both], axis=0)).T
 

@@ -16,7 +16,7 @@ ONSET_REACHES_S = (8.0, 2.0)
 
 @runtime_checkable
 class WithOnsetReaches(Offer, Protocol):
-    """A twin whose windows are of another length, or none: its own reaches in place of `ONSET_REACHES_S`."""
+    """A twin whose windows are of another length, or none: its own reaches for laws, in place of `ONSET_REACHES_S`."""
 
     onset_reaches_s: Sequence[float]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
+from types import SimpleNamespace
 from typing import cast
 
 import numpy as np
@@ -23,13 +24,20 @@ from dieseltwin.discovery.likelihood.circumstances import (
     at_estimates,
     circumstance_nuisances,
     estimates,
+    label_of,
     open_circumstances,
 )
 from dieseltwin.discovery.likelihood.fit import Candidate, Linearisation, first_fit, fit_fully, simulate_fits
 from dieseltwin.discovery.likelihood.metric import Whitening
 from dieseltwin.discovery.options import Options
 from dieseltwin.discovery.search import run as search_run
-from dieseltwin.discovery.search.circumstances import _chosen, _clocks_by_rows, _delay, in_weather_of
+from dieseltwin.discovery.search.circumstances import (
+    _chosen,
+    _clocks_by_rows,
+    _delay,
+    _may_say_it_all,
+    in_weather_of,
+)
 from dieseltwin.discovery.search.preparation import prepare, recentred
 from dieseltwin.discovery.search.run import looked_at
 from dieseltwin.discovery.search.settled import Settled
@@ -224,6 +232,24 @@ def test_a_reading_beside_a_kink_is_moved_to_its_own_side() -> None:
     assert apart.max() > 0.2 * np.abs(slopes).max() and np.median(apart) < 0.02 * np.abs(slopes).max()
     weather = late.under({**late.values, "p_amb_pa": source.p_amb_pa + 100.0}, frozenset(), like=True)
     assert weather._moved_for(shift) == late._moved_for(shift) != early._moved_for(shift)
+    again = LoggedTwin(source, we2011.PARAMETERS, values=late.asked)
+    assert again._moved_for(shift) == late._moved_for(shift) and again.values[shift] == 0.0
+
+
+def test_weather_that_explains_far_less_than_an_effect_is_not_simulated_beside_it() -> None:
+    """Linearly it explains 16 deviations squared here: simulated up to four times as much, or 60, could be its own."""
+    item = next(i for i in LoggedTwin(recording(_driven(60.0)), we2011.PARAMETERS).circumstances if i.unknown)
+
+    def may(gain: float, shares: float) -> bool:
+        null = SimpleNamespace(metric=SimpleNamespace(nuisance_covariance=lambda: np.array([[0.25]])))
+        found = SimpleNamespace(null=null, nuisances=[SimpleNamespace(label=label_of(item))], gain=lambda fit: gain,
+                                settings=default_search().driving)  # fmt: skip
+        return _may_say_it_all(cast(Search, found), cast(Linearisation, SimpleNamespace(fit=None)), [item],
+                               np.array([shares]))  # fmt: skip
+
+    alarm = default_search().driving.alarm_gain
+    assert may(63.0 + alarm, 2.0) and not may(65.0 + alarm, 2.0)  # 4 * 2^2 / 0.25
+    assert may(59.0 + alarm, 0.1) and not may(61.0 + alarm, 0.1)
 
 
 def test_responses_do_not_reach_the_kink_at_which_no_gas_comes_back(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -28,6 +28,7 @@ from dieseltwin.discovery.likelihood.score import (
     ways_of_each,
 )
 from dieseltwin.discovery.search import run as search
+from dieseltwin.discovery.search.alarms import clearly_named, score_unnamed
 from dieseltwin.discovery.search.courses import schedule_of
 from dieseltwin.discovery.search.explanations import choose
 from dieseltwin.discovery.search.preparation import prepare
@@ -46,6 +47,17 @@ def _at(toy: Toy, **effects: float) -> Linearisation:
         Candidate(tuple(effects)), np.array([1.0]), np.array(list(effects.values())), toy.first_local(), np.inf, False
     )
     return fit_fully(toy, whitening, start)
+
+
+def test_terms_without_a_name_wait_where_the_best_name_is_clear(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They are scored before they are chosen from, and the verdict is that of scoring them first."""
+    toy, scored = Toy().record(gain=0.9, drag=0.3), []
+    monkeypatch.setattr(search, "score_unnamed", lambda found: scored.append(found) or score_unnamed(found))
+    waited, first = (search.run(toy, SETTINGS, laws=False, time_s=time_s) for time_s in (None, 600.0))
+    assert len(scored) == 1 and clearly_named(waited)
+    assert waited.kind == first.kind == "single" and waited.best is not None and first.best is not None
+    assert waited.best.fit.objective == first.best.fit.objective
+    assert [item.gain for item in waited.structure] == [item.gain for item in first.structure]
 
 
 def test_toy_is_a_twin() -> None:
