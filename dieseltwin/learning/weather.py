@@ -99,7 +99,10 @@ def as_sure_as_the_weather(
     more = {"k_cflow": warmer - np.log([item.p_amb_pa / engine.p_cmap for item in recordings]), "k_cspeed": warmer}
     found = {}
     for name, item in exponents.items():
-        std = float(np.hypot(item.std, error / np.sqrt(np.mean(more[name] ** 2))))
+        apart = float(np.sqrt(np.mean(more[name] ** 2)))
+        if apart == 0.0:  # one weather, as it is where no column gives any: they say nothing of it
+            continue
+        std = float(np.hypot(item.std, error / apart))
         if std < getattr(beliefs, name):
             found[name] = Exponent(float(np.clip(item.value, *POSSIBLE_EXPONENTS)), std)
     return found

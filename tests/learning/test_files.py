@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import permutations
@@ -243,8 +244,12 @@ def test_exponents_are_no_surer_than_the_weather_that_shows_them(two):
     assert 0.03 < said["k_cflow"].std < 0.06 and 0.15 < said["k_cspeed"].std < 0.3
     unread = [replace(item, columns=one.columns) for item, one in zip(days, two, strict=True)]
     empty = [replace(item, columns={**item.columns, "p_amb_pa": np.full(item.time_s.size, np.nan)}) for item in days]
+    same = [replace(item, t_amb_k=290.0, p_amb_pa=9e4) for item in unread]  # no column gives any: no division by it
     for some in (unread, empty):
         assert as_sure_as_the_weather(shown, some, of_own_weather(we2011.PARAMETERS, days), beliefs) == {}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert as_sure_as_the_weather(shown, same, of_own_weather(we2011.PARAMETERS, same), beliefs) == {}
 
 
 def test_the_weather_of_recordings_is_the_same_in_any_order(two):
