@@ -20,6 +20,10 @@ from dieseltwin.recordings.reader import Recording
 
 DRIFT, SCALE, TIME_SHIFT, CORRECTED = "drift", "scale", "time_shift", "corrected"
 
+ROUNDED = "rounded"
+"""What moving an input between its rows does to its corners, `rounded:<column>`: no circumstance, but what one does.
+Its size is that share of what the input bends by at every row."""
+
 _OF = "@"
 
 _POSSIBLE = {"p_amb_pa": (4.5e4, 1.1e5), "t_amb_k": (215.0, 330.0), "t_im_k": (230.0, 420.0)}

@@ -16,10 +16,12 @@ from dieseltwin.discovery.likelihood.fit import Linearisation
 from dieseltwin.discovery.likelihood.nuisance import Nuisance
 from dieseltwin.discovery.twins.interface import Array, Lanes, Twin
 from dieseltwin.discovery.twins.offers import Offer
-from dieseltwin.recordings.circumstances import TIME_SHIFT, Circumstance
+from dieseltwin.recordings.channels import INPUTS
+from dieseltwin.recordings.circumstances import ROUNDED, TIME_SHIFT, Circumstance
 from dieseltwin.settings.search import CircumstanceSettings
 
 _LABEL = "circumstance"
+_ROUNDED_BY = 0.1  # of what an input bends by at a row: a straight line halfway between two rows leaves 1/8 of it out
 _NEAR = 0.1  # of what is worth a word (0.3 kPa, 0.8 K): up to here linear is as good
 _PLAINLY = 4.0  # standard deviations of an estimate: errors of maps are Gaussian in the plant alone
 
@@ -87,16 +89,24 @@ def _covariance(at: Linearisation) -> Array:
 
 
 def circumstance_nuisances(twin: Twin, lanes: Lanes, simulated: Array, width: int | None = None) -> list[Nuisance]:
-    """Directions of what is open, one standard deviation each; `width`: of loadings, for engines that were learned."""
+    """Directions of what is open, one standard deviation each; `width`: of loadings, for engines that were learned.
+
+    Those of the circumstances are the last. Before them stand the corners of inputs that were moved between their rows:
+    a valve that closes never quite does, on a straight line between two rows, and was 0.5 % from its command.
+    """
     items = open_circumstances(twin)
     if not items or not isinstance(twin, WithCircumstances):
         return []
-    responses = twin.circumstance_responses(lanes, simulated, [item.name for item in items])
+    moved = [item.name.replace(TIME_SHIFT, ROUNDED, 1) for item in items
+             if item.kind == TIME_SHIFT and item.column in INPUTS]  # fmt: skip
+    sizes = [*((f"{_LABEL} {name}", name, _ROUNDED_BY) for name in moved),
+             *((label_of(item), item.name, item.std) for item in items)]  # fmt: skip
+    responses = twin.circumstance_responses(lanes, simulated, [name for _, name, _ in sizes])
     none = None if width is None else np.zeros(width)
     of_maps = None if width is None else np.zeros_like(simulated)
     return [
-        Nuisance(label_of(item), response=item.std * response, loading=none, of_maps=of_maps)
-        for item, response in zip(items, responses, strict=True)
+        Nuisance(label, response=std * response, loading=none, of_maps=of_maps)
+        for (label, _, std), response in zip(sizes, responses, strict=True)
     ]
 
 

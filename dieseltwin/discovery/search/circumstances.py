@@ -26,7 +26,7 @@ from dieseltwin.discovery.search.settled import Settled, by_leaving_out, by_taki
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.search.variants import scan
 from dieseltwin.discovery.twins.interface import Array, OverRecordings, Twin
-from dieseltwin.recordings.channels import AMBIENT
+from dieseltwin.recordings.channels import AMBIENT, INPUTS
 from dieseltwin.recordings.circumstances import CORRECTED, DRIFT, SCALE, TIME_SHIFT, Circumstance
 
 ROUNDS = 3  # of looking again under what was found
@@ -35,9 +35,9 @@ _MOVED = 0.6  # standard deviations of its prior, up to which a circumstance is 
 _MOVED_UNREAD = 0.15  # the same of ambient or charge without a column: 3.6 kPa and 10 K away health was off by 6 std
 _BESIDE = 2.0  # times as far beside an effect
 _LINEAR = 0.7  # of a gain that shifts reach by simulation, at least, is seen in their responses
-_UNSETTLED = 0.03  # of a prior's standard deviation (0.2 kPa, 0.5 K): beside a name weather is followed up to here
 _FARTHEST = 3.0  # standard deviations of its prior that a sensor's clock is looked for by whole rows
 _BENT = 60.0  # gain that circumstances may have by how the machine bends, whatever they explain linearly
+_ALIKE = 3.0  # times the gain of an alarm for an effect that acts nearly as the clock of an input
 _CATALOGUE = 2  # effects at once that the catalogue explains by itself
 
 
@@ -71,72 +71,6 @@ def same_circumstances(one: Twin, other: Twin) -> bool:
     return dict(one.values) == dict(other.values) and one.opened == other.opened
 
 
-def in_weather_of(found: Search, fit: Fit) -> Twin | None:
-    """The twin in the weather, simulated, that an explanation asks for; None where it is there, or columns say it.
-
-    Names and terms without one are compared where weather acts linearly, about what the health-only fit made of it.
-    From 1 kPa away a leak of the exhaust was 4 mm2 short, and left more than a term without a name did.
-    """
-    twin = found.twin
-    if not isinstance(twin, WithCircumstances):
-        return None
-    items = [item for item in _movable(twin) if not item.kind]
-    if all(item.read for item in items if item.plain in AMBIENT):
-        return None
-    values = settle(found, twin, fit, items, {}).values
-    other = twin.under({**twin.values, **values}, twin.opened)
-    here = [twin.values.get(item.name, item.assumed) for item in items]
-    far = any(abs(values[i.name] - at) > _UNSETTLED * i.std for i, at in zip(items, here, strict=True))
-    return other if far else None
-
-
-def in_assumed_weather(found: Search) -> Twin | None:
-    """The twin in the weather as assumed, where no column gives it and the twin is elsewhere; None where it is there.
-
-    The fit without any effect follows with the weather what an effect does. From there a loss of the charge cooler's
-    was a sum of two wrong terms, 8 K of its charge among them.
-    """
-    twin = found.twin
-    if not isinstance(twin, WithCircumstances):
-        return None
-    guessed = {item.name for item in _guessed(twin)} & set(twin.values)
-    if not guessed:
-        return None
-    return twin.under({name: value for name, value in twin.values.items() if name not in guessed}, twin.opened)
-
-
-def with_reading_in_time(found: Search) -> Twin | None:
-    """The twin in which a reading that lags by the law found isn't late as well; None where its clock isn't open.
-
-    A slow sensor is late, too, and a late clock is found before a law is thought of: 1.83 s of a thermocouple's lag
-    were 0.69 s late and a lag of 1.1 s.
-    """
-    twin = found.twin
-    if found.law is None or not isinstance(twin, WithCircumstances):
-        return None
-    lagging = {fault.channel for fault in found.law.faults if fault.kind == "lag"}
-    late = {i.name for i in twin.circumstances if i.kind == TIME_SHIFT and i.column in lagging} & twin.opened
-    if not late:
-        return None
-    return twin.under({name: value for name, value in twin.values.items() if name not in late}, twin.opened - late)
-
-
-def weather_is_settled(found: Search) -> bool:
-    """Whether a law that was found leaves the weather that no column gives where the twin has it, near enough."""
-    twin = found.twin
-    if found.law is None or not isinstance(twin, WithCircumstances):
-        return found.law is not None
-    with_law, fit = found.law.on(cast(Twin, twin))
-    items = _guessed(twin)
-    shares = _shares(found, Linearisation(with_law, found.whitening, fit, found.null), items)
-    return bool(np.all(np.abs(shares) < [_bar(item) for item in items]))
-
-
-def _guessed(twin: WithCircumstances) -> list[Circumstance]:
-    """Weather that no column gives."""
-    return [item for item in _movable(twin) if not item.kind and not item.read]
-
-
 def leading(found: Search) -> Linearisation:
     """The best single effect where it raises an alarm, else health alone; in the common metric."""
     if not found.singles or found.gain(found.singles[0]) < found.settings.alarm_gain:
@@ -153,26 +87,32 @@ def _moved(found: Search, twin: WithCircumstances) -> Twin | None:
     """
     lead = leading(found)
     held = belief_of(found.twin) is not None
-    movable = [item for item in _movable(twin) if not (held and item.read)]
-    shares = _shares(found, found.null, movable)
-    moves = np.any(np.abs(shares) >= [_bar(item) for item in movable])
-    tried = moves and _may_say_it_all(found, lead, movable, shares)
-    alone = settle(found, twin, found.null.fit, movable, {}) if tried else None
-    if alone and (lead is found.null or alone.evidence < evidence_of(lead) + found.settings.alarm_gain):
+    items = [item for item in movable(twin) if not (held and item.read)]
+    shares = shares_of(found, found.null, items)
+    moves = np.any(np.abs(shares) >= [bar_of(item) for item in items])
+    tried = moves and _may_say_it_all(found, lead, items, shares)
+    alone = settle(found, twin, found.null.fit, items, {}) if tried else None
+    if alone and (lead is found.null or alone.evidence < evidence_of(lead) + _needed_beside(found, lead, items)):
         values = alone.values  # beside an effect: they may be all that it says
     elif lead is found.null:
         return None
     else:
-        beside = _shares(found, lead, movable)
-        if not np.any(np.abs(beside) >= [_bar_beside(item) for item in movable]):
+        beside = shares_of(found, lead, items)
+        if not np.any(np.abs(beside) >= [_bar_beside(item) for item in items]):
             return None
         values = {
             item.name: twin.values.get(item.name, item.assumed) + item.std * float(share)
-            for item, share in zip(movable, beside, strict=True)
+            for item, share in zip(items, beside, strict=True)
         }
     other = cast(WithCircumstances, twin.under({**twin.values, **values}, twin.opened))
-    far = any(abs(other.values[i.name] - twin.values.get(i.name, i.assumed)) > _bar(i) * i.std for i in movable)
+    far = any(abs(other.values[i.name] - twin.values.get(i.name, i.assumed)) > bar_of(i) * i.std for i in items)
     return cast(Twin, other) if far else None  # sensors' clocks go by whole rows
+
+
+def _needed_beside(found: Search, lead: Linearisation, items: Sequence[Circumstance]) -> float:
+    """By how much circumstances must explain more beside the best single effect than without it, for it to stay."""
+    alike = {name for item in items if _drives(item) for name in item.effects}
+    return found.settings.alarm_gain * (_ALIKE if alike & set(lead.fit.candidate.names) else 1.0)
 
 
 def _may_say_it_all(found: Search, lead: Linearisation, items: Sequence[Circumstance], shares: Array) -> bool:
@@ -187,9 +127,9 @@ def _may_say_it_all(found: Search, lead: Linearisation, items: Sequence[Circumst
     return found.gain(lead.fit) - found.settings.alarm_gain < max(_BENT, PROMISED * linear)
 
 
-def _bar(item: Circumstance) -> float:
+def bar_of(item: Circumstance) -> float:
     """How far from where the twin has it a circumstance is linear enough, in standard deviations of its prior."""
-    return _MOVED_UNREAD if item.kind == CORRECTED or not (item.kind or item.read) else _MOVED
+    return _MOVED_UNREAD if item.kind == CORRECTED or not (item.kind or item.read) or _drives(item) else _MOVED
 
 
 def _bar_beside(item: Circumstance) -> float:
@@ -198,16 +138,21 @@ def _bar_beside(item: Circumstance) -> float:
     A wrong effect bends the circumstances, and the charge most readily: in the place of a leak that was withheld one
     moved it by 3 K, and the leak's law left more than half of the misfit.
     """
-    close = item.kind == CORRECTED or (item.plain in AMBIENT and not item.read)
+    close = item.kind == CORRECTED or (item.plain in AMBIENT and not item.read) or _drives(item)
     return _BESIDE * (_MOVED_UNREAD if close else _MOVED)
 
 
-def _movable(twin: WithCircumstances) -> list[Circumstance]:
+def _drives(item: Circumstance) -> bool:
+    """Whether it is the clock of an input, whose kinks are at its rows: fuel 0.07 s off was a fuel lag of 0.09 s."""
+    return item.kind == TIME_SHIFT and item.column in INPUTS
+
+
+def movable(twin: WithCircumstances) -> list[Circumstance]:
     """What is open and can be simulated elsewhere than where the twin has it."""
     return [item for item in open_circumstances(cast(Twin, twin)) if item.kind not in (DRIFT, SCALE)]
 
 
-def _shares(found: Search, at: Linearisation, items: Sequence[Circumstance]) -> Array:
+def shares_of(found: Search, at: Linearisation, items: Sequence[Circumstance]) -> Array:
     """Estimates of open circumstances under a fit, from where the twin has them, in standard deviations of priors."""
     estimate = found.null.metric.nuisance_estimate(np.nan_to_num(at.residual))
     shares = dict(zip((nuisance.label for nuisance in found.nuisances), estimate, strict=True))
@@ -268,7 +213,7 @@ def _plainly_off(
     settled, chosen = best
     if lead is not found.null:  # the effect itself may be nothing but these circumstances
         alone = _chosen(found, twin, found.null.fit, rest, _clocks_by_rows(found.null, twin, rest))
-        if alone is not None and alone[0].evidence < settled.evidence + found.settings.alarm_gain:
+        if alone is not None and alone[0].evidence < settled.evidence + _needed_beside(found, lead, chosen):
             settled, chosen = alone
     if not well and _said_by_catalogue(chosen, settled.values):
         return None
@@ -278,7 +223,7 @@ def _plainly_off(
     if delay is None:
         return other
     near = {**settled.values, delay.name: settled.values[delay.name] - float(settled.at.fit.magnitudes[0])}
-    settled = settle(found, twin, found.null.fit, [*_movable(twin), *chosen], near)
+    settled = settle(found, twin, found.null.fit, [*movable(twin), *chosen], near)
     return twin.under({**twin.values, **settled.values}, opened)
 
 
@@ -289,16 +234,16 @@ def _misread(found: Search, twin: WithCircumstances) -> Twin | None:
     A placeholder (101.3 kPa at 1500 m) that is believed as a barometer holds what is found away from the truth.
     """
     lead = leading(found)
-    read = [item for item in _movable(twin) if item.read and item.plain in AMBIENT]
+    read = [item for item in movable(twin) if item.read and item.plain in AMBIENT]
     far = [
-        item.name for item, share in zip(read, _shares(found, lead, read), strict=True)
+        item.name for item, share in zip(read, shares_of(found, lead, read), strict=True)
         if abs(share) * item.std > item.notable
     ]  # fmt: skip
     if not far:
         return None
     opened = twin.opened | frozenset(far)
     other = cast(WithCircumstances, twin.under(twin.values, opened, like=True))
-    settled = settle(found, other, lead.fit, _movable(other), {})
+    settled = settle(found, other, lead.fit, movable(other), {})
     gain = evidence_of(lead) - settled.evidence
     if gain < _ahead_of_rivals(found, twin, lead, gain):
         return None
@@ -360,7 +305,7 @@ def _chosen(
 
     Where it wants several clocks, none of the others is trusted to be in time either.
     """
-    unknown = _movable(twin)
+    unknown = movable(twin)
     everything = settle(found, twin, start, [*unknown, *rest], near)
     chosen = by_leaving_out(everything, rest)
     if not chosen:

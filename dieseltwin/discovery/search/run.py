@@ -22,15 +22,7 @@ from dieseltwin.discovery.search.alarms import (
     shown_in_part,
 )
 from dieseltwin.discovery.search.by_recording import Start, refitted, starts_by_recording
-from dieseltwin.discovery.search.circumstances import (
-    ROUNDS,
-    in_assumed_weather,
-    in_weather_of,
-    same_circumstances,
-    under_circumstances,
-    weather_is_settled,
-    with_reading_in_time,
-)
+from dieseltwin.discovery.search.circumstances import ROUNDS, same_circumstances, under_circumstances
 from dieseltwin.discovery.search.dating import date_edges
 from dieseltwin.discovery.search.explanations import (
     choose,
@@ -53,6 +45,12 @@ from dieseltwin.discovery.search.renewal import BENDS, about_the_leader
 from dieseltwin.discovery.search.standing import explain_standing
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.search.variant_fits import scan_all, try_variants
+from dieseltwin.discovery.search.weather import (
+    in_assumed_weather,
+    in_weather_of,
+    weather_is_settled,
+    with_reading_in_time,
+)
 from dieseltwin.discovery.time_limit import OutOfTimeError, time_limit
 from dieseltwin.discovery.twins.interface import OverRecordings, Twin
 from dieseltwin.settings.search import SearchSettings

@@ -22,6 +22,7 @@ from dieseltwin.recordings.between_rows import rows_are_slow, rows_may_be_slow
 from dieseltwin.recordings.circumstances import (
     CORRECTED,
     DRIFT,
+    ROUNDED,
     SCALE,
     TIME_SHIFT,
     Circumstance,
@@ -34,7 +35,8 @@ from dieseltwin.recordings.reader import Recording
 from dieseltwin.settings.defaults import default_search
 from dieseltwin.settings.search import CircumstanceSettings
 
-_STEPS = {"p_amb_pa": 0.5, "t_amb_k": 0.005, "t_im_k": 0.005, SCALE: 1e-5, TIME_SHIFT: 0.05, CORRECTED: 1e-4}
+_STEPS = {"p_amb_pa": 0.5, "t_amb_k": 0.005, "t_im_k": 0.005, SCALE: 1e-5, TIME_SHIFT: 0.05, CORRECTED: 1e-4,
+          ROUNDED: 0.05}  # fmt: skip
 """Differences for the responses [unit], as small as those of health and maps: where p_em falls below p_im no gas comes
 back through the EGR valve, and two rows at which the charge's difference reached that kink, and health's did not, had
 three quarters of all that a recording said of the charge, wrongly. That of shifts is a good part of a row, as signals
@@ -286,6 +288,12 @@ class LoggedTwin(EngineTwin):
         if kind == SCALE:
             scaled: dict[str, Any] = {column: (1.0 + step) * inputs.columns[column]}
             inputs = replace(inputs, **scaled)
+        elif kind == ROUNDED:
+            values = inputs.columns[column]
+            bend = np.convolve(values, (1.0, -2.0, 1.0), mode="same")
+            bend[[*self.pieces, *(self.pieces[1:] - 1), -1]] = 0.0
+            rounded: dict[str, Any] = {column: values + step * bend}
+            inputs = replace(inputs, **rounded)
         elif kind == TIME_SHIFT:
             made = self._read[0].made.among(INPUT_COLUMNS)
             before = {one: inputs.columns[one] for one in INPUT_COLUMNS}

@@ -19,7 +19,6 @@ from dieseltwin.discovery.likelihood.circumstances import (
     at_estimates,
     circumstance_nuisances,
     estimates,
-    open_circumstances,
 )
 from dieseltwin.discovery.likelihood.fit import Fit, Linearisation, fit_fully
 from dieseltwin.discovery.likelihood.known import KnownErrors
@@ -160,8 +159,8 @@ def _responses_about(
     """Directions and responses (K, n, C) about an estimate (K,), from those about another place."""
     there, lanes = _at(twin, own, responses, estimate), fit.lanes()
     simulated = there.simulate(lanes)[0]
-    first = len(own) - len(open_circumstances(twin))  # they are the last
-    own = [*own[:first], *circumstance_nuisances(there, lanes, simulated)]
+    weather = circumstance_nuisances(there, lanes, simulated)  # they are the last
+    own = [*own[: len(own) - len(weather)], *weather]
     return own, nuisance_responses(there, lanes, simulated, own, linear=True)
 
 

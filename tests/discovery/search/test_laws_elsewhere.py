@@ -20,10 +20,10 @@ from dieseltwin.discovery.likelihood.metric import Whitening
 from dieseltwin.discovery.options import Options
 from dieseltwin.discovery.search import nameless
 from dieseltwin.discovery.search import run as search_run
-from dieseltwin.discovery.search.circumstances import with_reading_in_time
 from dieseltwin.discovery.search.preparation import prepare
 from dieseltwin.discovery.search.settled import evidence_of
 from dieseltwin.discovery.search.state import Search
+from dieseltwin.discovery.search.weather import with_reading_in_time
 from dieseltwin.discovery.time_limit import OutOfTimeError, time_limit
 from dieseltwin.discovery.twins.diesel_circumstances import LoggedTwin
 from dieseltwin.discovery.twins.interface import Twin
