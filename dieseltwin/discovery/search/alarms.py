@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 
 from dieseltwin.discovery.laws.features import Structure, generic_features, local_features, score_features
+from dieseltwin.discovery.likelihood.circumstances import open_circumstances
 from dieseltwin.discovery.likelihood.fit import Fit, Linearisation
 from dieseltwin.discovery.likelihood.score import spread, without_parameters
 from dieseltwin.discovery.search.by_recording import gained_elsewhere
@@ -12,6 +13,7 @@ from dieseltwin.discovery.search.explanations import one_term_gains
 from dieseltwin.discovery.search.preparation import verify
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.search.variants import Variant, edge_cost
+from dieseltwin.recordings.circumstances import TIME_SHIFT
 
 _REBASED_BELOW = 150.0  # gain; clear cases needn't be verified
 
@@ -47,8 +49,12 @@ def score_unnamed(found: Search) -> tuple[bool, Structure | None]:
 def _unnamed(found: Search) -> Structure | None:
     """The strongest term without a name that raises an alarm by itself, None where none does."""
     settings, needed = found.settings, _named_already(found)
+    untimed = {item.column for item in open_circumstances(found.twin) if item.kind == TIME_SHIFT}
     for item in found.lasting():
-        bar = settings.unnamed_gain if item.feature.channel is None else settings.unnamed_sensor_gain
+        channel = None if item.feature.channel is None else found.twin.channels[item.feature.channel]
+        # a clock that is open acts to first order, and a lag is what it leaves beyond
+        inside = channel is None or (item.feature.fault == "lag" and channel in untimed)
+        bar = settings.unnamed_gain if inside else settings.unnamed_sensor_gain
         if item.gain > max(bar, needed):
             return item
     return found.local_ahead(needed)

@@ -18,7 +18,7 @@ from dieseltwin.challenge.routes import draw_driving
 from dieseltwin.challenge.sensors import NOISE_REL, SENSORS, SensorSet, read, shown
 from dieseltwin.discovery import fit_test
 from dieseltwin.discovery.discover import as_it_was, discover
-from dieseltwin.discovery.laws.features import generic_features, score_features
+from dieseltwin.discovery.laws.features import FaultKind, Feature, Structure, generic_features, score_features
 from dieseltwin.discovery.laws.grammar import operators
 from dieseltwin.discovery.likelihood.circumstances import (
     at_estimates,
@@ -31,6 +31,7 @@ from dieseltwin.discovery.likelihood.fit import Candidate, Linearisation, first_
 from dieseltwin.discovery.likelihood.metric import Whitening
 from dieseltwin.discovery.options import Options
 from dieseltwin.discovery.search import run as search_run
+from dieseltwin.discovery.search.alarms import _unnamed
 from dieseltwin.discovery.search.circumstances import (
     _chosen,
     _clocks_by_rows,
@@ -254,6 +255,19 @@ def test_corners_of_inputs_that_were_moved_are_open_before_the_circumstances() -
     moved = twin.with_inputs(replace(twin.inputs, u_egr_pct=rounder)).simulate(lanes)[0] - simulated
     off = np.abs(moved - 0.5 * corners.response).max(axis=0) / np.abs(moved).max(axis=0)  # 0.05 of 0.1
     assert (off < 0.1).all(), off
+
+
+@pytest.mark.parametrize(("fault", "channel", "raises"), [("lag", 0, False), ("lag", 1, True), ("gain", 0, True)])
+def test_beside_its_open_clock_a_lag_needs_what_a_term_inside_the_machine_needs(
+    fault: FaultKind, channel: int, raises: bool
+) -> None:
+    """A clock acts to first order, and what is left beyond looks like a lag: 18.7 in a healthy engine."""
+    twin = LoggedTwin(recording(_driven(60.0)), we2011.PARAMETERS, opened=frozenset({"time_shift:p_im_pa"}))
+    feature = Feature(None, fault, np.zeros(0), "sensor", channel, fault)
+    item = Structure(feature, 0.1, 18.7, np.zeros(0), 10.5)
+    found = SimpleNamespace(settings=default_search().driving, twin=twin, singles=[None], of_interest=lambda fit: True,
+                            lasting=lambda: [item], local_ahead=lambda needed: None)  # fmt: skip
+    assert (_unnamed(cast(Search, found)) is item) == raises
 
 
 def test_beside_a_delay_the_clock_of_its_input_is_preferred() -> None:
