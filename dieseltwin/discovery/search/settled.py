@@ -15,7 +15,7 @@ from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.recordings.circumstances import Circumstance
 
-_FIT_ROUNDS = 6
+_FIT_ROUNDS = 12  # 2000 m high, 20 K colder and with all clocks off is some ten of the longest steps away
 _LARGEST_STEP = 0.8  # of a prior's standard deviation in one round: farther, responses are others
 _SETTLED = 0.1  # of a prior's standard deviation; the rest is linear
 
