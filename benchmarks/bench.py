@@ -145,7 +145,7 @@ def loops(full: bool) -> Rows:
     if (MODELS / "maps_paper.pt").is_file():
         given += ["--models", MODELS]
     if not full:
-        given += ["--methods", "few-shot", "--lanes", 30, "--draws", 3]
+        given += ["--methods", "few-shot", "--lanes", 30]
     rows, second = [], False
     for line in command(*given).text.splitlines()[1:]:
         words = line.split()
