@@ -67,6 +67,11 @@ class Circumstance:
         return self.name.rpartition(":")[2].partition(_OF)[0]
 
     @property
+    def drives(self) -> bool:
+        """Whether it is the clock of an input."""
+        return self.kind == TIME_SHIFT and self.column in INPUTS
+
+    @property
     def plain(self) -> str:
         """Its name in its own recording."""
         return self.name.partition(_OF)[0]

@@ -28,14 +28,7 @@ from dieseltwin.discovery.search.preparation import recentred
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.errors import InputError
-from dieseltwin.rigs.fitting import (
-    ROUNDS,
-    checked_rows,
-    fitted,
-    fitted_otherwise,
-    fitted_surely,
-    foretold,
-)
+from dieseltwin.rigs.fitting import ROUNDS, checked_rows, fitted, fitted_otherwise, fitted_surely, foretold
 from dieseltwin.rigs.later_laws import later_law, writable
 from dieseltwin.rigs.onsets import dated, first_course
 from dieseltwin.rigs.parameters import LawFactor, RigLaw, RigParameters, RigTerm

@@ -85,7 +85,7 @@ def _fit(rig: RigParameters, recording: RigRecording) -> Linearisation:
 
 
 def times_noise(at: Linearisation, left: Array) -> Array:
-    """Errors (C,) in the noise of the recording's readings, or their resolution where that is more [-]."""
+    """Errors (..., C) in the noise of the recording's readings, or their resolution where that is more [-]."""
     twin = cast(RigTwin, at.twin)
     return np.asarray(left / np.maximum(estimate_noise(twin.measured).sigma, twin.floors))
 

@@ -31,7 +31,7 @@ def writable(law: Law | None) -> Law | None:
     sensor, and without an operator."""
     if law is None or law.faults or any(placed.form.operator for placed in law.placed):
         return None
-    return law if {law.site, *(rival.site for rival in law.rivals)} == {law.site} else None
+    return law if all(rival.site == law.site for rival in law.rivals) else None
 
 
 def later_law(at: Linearisation, settings: RigSettings, most: float) -> Law | None:
@@ -65,8 +65,9 @@ def later_law(at: Linearisation, settings: RigSettings, most: float) -> Law | No
 
 
 def _same(one: Law, other: Law) -> bool:
-    forms = [tuple(replace(placed.form, since_s=None).key for placed in law.placed) for law in (one, other)]
-    return one.site == other.site and forms[0] == forms[1]
+    """Whether two laws are one, whenever they begin."""
+    forms, others = ([placed.form.key for placed in law.since(0.0).placed] for law in (one, other))
+    return one.site == other.site and forms == others
 
 
 def _strongest(at: Linearisation, settings: RigSettings) -> tuple[float, list[Structure]] | None:

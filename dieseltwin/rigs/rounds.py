@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from dieseltwin.discovery.laws.search import Law
 from dieseltwin.discovery.likelihood.fit import Linearisation
 from dieseltwin.discovery.options import SearchOptions
@@ -77,7 +79,8 @@ class Course:
         """Whether a reading is missed by more than noise, in the fit or in free runs that none has seen, as they are
         with all that was taken."""
         foretold = [item.after for item in self.rounds if item.taken]
-        return any((times_noise(self.fit, errors) > LOUD).any() for errors in (rms_left(self.fit), *foretold[-1:]))
+        left = np.stack([rms_left(self.fit), *foretold[-1:]])
+        return bool((times_noise(self.fit, left) > LOUD).any())
 
     @property
     def silent(self) -> bool:

@@ -16,7 +16,6 @@ from dieseltwin.discovery.likelihood.fit import Linearisation
 from dieseltwin.discovery.likelihood.nuisance import Nuisance
 from dieseltwin.discovery.twins.interface import Array, Lanes, Twin
 from dieseltwin.discovery.twins.offers import Offer
-from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.circumstances import ROUNDED, TIME_SHIFT, Circumstance
 from dieseltwin.settings.search import CircumstanceSettings
 
@@ -97,8 +96,7 @@ def circumstance_nuisances(twin: Twin, lanes: Lanes, simulated: Array, width: in
     items = open_circumstances(twin)
     if not items or not isinstance(twin, WithCircumstances):
         return []
-    moved = [item.name.replace(TIME_SHIFT, ROUNDED, 1) for item in items
-             if item.kind == TIME_SHIFT and item.column in INPUTS]  # fmt: skip
+    moved = [item.name.replace(TIME_SHIFT, ROUNDED, 1) for item in items if item.drives]
     sizes = [*((f"{_LABEL} {name}", name, _ROUNDED_BY) for name in moved),
              *((label_of(item), item.name, item.std) for item in items)]  # fmt: skip
     responses = twin.circumstance_responses(lanes, simulated, [name for _, name, _ in sizes])

@@ -26,7 +26,7 @@ from dieseltwin.discovery.search.settled import Settled, by_leaving_out, by_taki
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.search.variants import scan
 from dieseltwin.discovery.twins.interface import Array, OverRecordings, Twin
-from dieseltwin.recordings.channels import AMBIENT, INPUTS
+from dieseltwin.recordings.channels import AMBIENT
 from dieseltwin.recordings.circumstances import CORRECTED, DRIFT, SCALE, TIME_SHIFT, Circumstance
 
 ROUNDS = 3  # of looking again under what was found
@@ -111,7 +111,7 @@ def _moved(found: Search, twin: WithCircumstances) -> Twin | None:
 
 def _needed_beside(found: Search, lead: Linearisation, items: Sequence[Circumstance]) -> float:
     """By how much circumstances must explain more beside the best single effect than without it, for it to stay."""
-    alike = {name for item in items if _drives(item) for name in item.effects}
+    alike = {name for item in items if item.drives for name in item.effects}
     return found.settings.alarm_gain * (_ALIKE if alike & set(lead.fit.candidate.names) else 1.0)
 
 
@@ -128,8 +128,11 @@ def _may_say_it_all(found: Search, lead: Linearisation, items: Sequence[Circumst
 
 
 def bar_of(item: Circumstance) -> float:
-    """How far from where the twin has it a circumstance is linear enough, in standard deviations of its prior."""
-    return _MOVED_UNREAD if item.kind == CORRECTED or not (item.kind or item.read) or _drives(item) else _MOVED
+    """How far from where the twin has it a circumstance is linear enough, in standard deviations of its prior.
+
+    An input has its kinks at its rows: fuel 0.07 s off was a fuel lag of 0.09 s.
+    """
+    return _MOVED_UNREAD if item.kind == CORRECTED or not (item.kind or item.read) or item.drives else _MOVED
 
 
 def _bar_beside(item: Circumstance) -> float:
@@ -138,13 +141,8 @@ def _bar_beside(item: Circumstance) -> float:
     A wrong effect bends the circumstances, and the charge most readily: in the place of a leak that was withheld one
     moved it by 3 K, and the leak's law left more than half of the misfit.
     """
-    close = item.kind == CORRECTED or (item.plain in AMBIENT and not item.read) or _drives(item)
+    close = item.kind == CORRECTED or (item.plain in AMBIENT and not item.read) or item.drives
     return _BESIDE * (_MOVED_UNREAD if close else _MOVED)
-
-
-def _drives(item: Circumstance) -> bool:
-    """Whether it is the clock of an input, whose kinks are at its rows: fuel 0.07 s off was a fuel lag of 0.09 s."""
-    return item.kind == TIME_SHIFT and item.column in INPUTS
 
 
 def movable(twin: WithCircumstances) -> list[Circumstance]:

@@ -132,6 +132,7 @@ class LoggedTwin(EngineTwin):
         circumstances: what may be off, and how far.
         beliefs: the settings that say so.
         values: what is known of it by now; else it is as assumed.
+        asked: the same before the clocks of sensors were rounded to whole rows.
         opened: names of those that were found to be off, so that they are open as the unknown ones are.
 
     Args:
@@ -147,9 +148,10 @@ class LoggedTwin(EngineTwin):
         like: LoggedTwin | None = None,
     ) -> None:  # fmt: skip
         engine = with_charge(engine, recording)
-        asked = dict(values or {})
-        self.values: Mapping[str, float] = {name: applicable(recording, name, value) for name, value in asked.items()}
-        self._beyond_rows = {name: value - self.values[name] for name, value in asked.items()}
+        self.asked = dict(values or {})
+        self.values: Mapping[str, float] = {
+            name: applicable(recording, name, value) for name, value in self.asked.items()
+        }
         right, under = put_right(recording, engine, self.values)
         super().__init__(right, under, sensors, map_tolerance=map_tolerance, belief=belief, like=like)
         self._read = recording, engine, sensors, map_tolerance, belief
@@ -169,11 +171,6 @@ class LoggedTwin(EngineTwin):
         delays = {name for item in untimed for name in item.effects if EFFECTS[name].enters.operator == "dead_time"}
         self.hypotheses = {name: item for name, item in self.hypotheses.items() if name not in delays}
 
-    @property
-    def asked(self) -> dict[str, float]:
-        """`values` with what clocks lie beyond whole rows, as another twin has to be asked for the same."""
-        return {name: value + self._beyond_rows[name] for name, value in self.values.items()}
-
     def under(self, values: Mapping[str, float], opened: frozenset[str], like: bool = False) -> LoggedTwin:
         """The twin of the recording under other circumstances; `like`: near these, with the windows and holes of this
         one."""
@@ -192,8 +189,8 @@ class LoggedTwin(EngineTwin):
                            values=values, opened=opened, like=self if like else None)  # fmt: skip
         other.between_rows, other.known_between = self.between_rows, self.known_between
         for name, value in other.values.items():  # clocks that stay where they are
-            if other._beyond_rows[name] == 0.0 and value == self.values.get(name):
-                other._beyond_rows[name] = self._beyond_rows[name]
+            if other.asked[name] == value == self.values.get(name):
+                other.asked[name] = self.asked[name]
         if like:
             empty = ~np.isfinite(self.measured).any(axis=1)
             other.measured[empty] = np.nan
@@ -244,7 +241,7 @@ class LoggedTwin(EngineTwin):
         kind, _, column = name.rpartition(":")
         if kind != TIME_SHIFT or column in INPUT_COLUMNS:
             return name.removeprefix(f"{DRIFT}:")
-        return _LATER if self._beyond_rows.get(name, 0.0) > 0.0 else _EARLIER
+        return _LATER if self.asked.get(name, 0.0) > self.values.get(name, 0.0) else _EARLIER
 
     def _run_with(self, lanes: Lanes, names: Sequence[str]) -> Array:
         """Responses to circumstances that act on the engine, a lane each behind one as it is."""

@@ -265,7 +265,8 @@ class SimpleTwin(TwinDefaults):
         """States (L, S, B, W) at rows (L, W) from the lanes' local ones on; a row that comes again stands still."""
         model, m = self.model, self.model.sub_steps
         (length, windows), lanes_count = rows.shape, lanes.size
-        steps = np.diff(self.time_s[rows], axis=0)  # (L - 1, W)
+        moments = self.time_s[rows]
+        steps = np.diff(moments, axis=0)  # (L - 1, W)
         out = np.empty((length, len(self.states), lanes_count, windows))
         out[0] = lanes.local.transpose(2, 0, 1)
         p = SimpleNamespace(**{q.name: lanes.parameters[:, i][:, None] for i, q in enumerate(self.parameters)})
@@ -289,7 +290,7 @@ class SimpleTwin(TwinDefaults):
         held = model.hold == "held"
         driven = [{name: between(v, 0.0 if held else share) for name, v in inputs.items()} for share in shares]
         entering = [{name: between(v, share) for name, v in shared.items()} for share in shares]
-        times = [between(self.time_s[rows], share) for share in shares]
+        times = [between(moments, share) for share in shares] if untouched is None else []  # for laws that begin later
 
         def inserted(x: SimpleNamespace, u: SimpleNamespace, k: int, j: int) -> Insertion:
             signals = {name: [values[k]] for name, values in entering[j].items()}
