@@ -7,7 +7,7 @@ health-only fit, where their gains compare with those of names.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -79,25 +79,24 @@ def refit_terms(
     return sorted(refits, key=lambda refit: -refit.gain)
 
 
-def best_term(
+def leading_refits(
     twin: Twin, whitening: Whitening, at: Linearisation, structure: Sequence[Structure], needed: float,
     since_s: float | None = None,
-) -> float:  # fmt: skip
-    """Gain of the best term without a name over the health-only fit, refitted fully where it is near what is needed; 0
-    where none can come near.
+) -> Iterator[Refit]:  # fmt: skip
+    """The best terms without a name, refitted fully where they are near what is needed and short of it.
 
     Args:
-        twin: without it.
+        twin: without them.
         whitening: of its readings.
         at: health-only fit, whose metric is used.
         structure: scored terms, strongest first.
-        needed: gain that decides.
+        needed: gain over the health-only fit that decides.
         since_s: from when on the terms act, as they were scored [s]; None: always.
     """
-    refits = refit_terms(twin, at, leading(structure, needed), since_s)
-    best = refits[0].gain if refits else 0.0
-    for refit in refits[:_POLISHED]:
-        if needed - _NEAR < refit.gain and best <= needed:
+    for refit in refit_terms(twin, at, leading(structure, needed), since_s)[:_POLISHED]:
+        if needed - _NEAR < refit.gain <= needed:
             full = fit_fully(refit.twin, whitening, refit.fit, rounds=_ROUNDS, frozen=at)  # type: ignore[arg-type]
-            best = max(best, at.fit.objective - full.fit.objective)
-    return best
+            gain = at.fit.objective - full.fit.objective
+            if gain > refit.gain:
+                refit = replace(refit, fit=full.fit, gain=gain)
+        yield refit

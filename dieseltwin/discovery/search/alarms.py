@@ -10,7 +10,7 @@ from dieseltwin.discovery.likelihood.fit import Fit, Linearisation
 from dieseltwin.discovery.likelihood.score import spread, without_parameters
 from dieseltwin.discovery.search.by_recording import gained_elsewhere
 from dieseltwin.discovery.search.explanations import one_term_gains
-from dieseltwin.discovery.search.preparation import verify
+from dieseltwin.discovery.search.simulated_errors import verify
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.search.variants import Variant, edge_cost
 from dieseltwin.recordings.circumstances import TIME_SHIFT

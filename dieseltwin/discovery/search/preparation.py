@@ -10,7 +10,7 @@ from typing import cast
 import numpy as np
 
 from dieseltwin.discovery.likelihood.between_rows import scatter_about, widened
-from dieseltwin.discovery.likelihood.circumstances import at_estimates, circumstance_nuisances
+from dieseltwin.discovery.likelihood.circumstances import circumstance_nuisances
 from dieseltwin.discovery.likelihood.fit import (
     Candidate,
     Fit,
@@ -27,7 +27,6 @@ from dieseltwin.discovery.likelihood.learned import (
     belief_of,
     learned_nuisances,
     loadings_of,
-    rebased_learned,
 )
 from dieseltwin.discovery.likelihood.metric import ModelScatter, Whitening
 from dieseltwin.discovery.likelihood.noise import noise_of
@@ -35,7 +34,6 @@ from dieseltwin.discovery.likelihood.nuisance import (
     LEADING,
     Detail,
     Nuisance,
-    Rebased,
     map_nuisances,
     nuisance_responses,
     sensor_nuisances,
@@ -49,13 +47,10 @@ from dieseltwin.learning.belief import Belief
 from dieseltwin.recordings.noise import Noise
 from dieseltwin.settings.search import SearchSettings
 
-_VERIFIED = 3  # of the leading fits
 _ALONE_ROUNDS = 6
-_VERIFIED_FROM = 0.7  # of the gain of an alarm
 _GROWTH = 1.0  # of the weight of initial states over a window, above which it is cut
 _PARTS = 4
 _KINKS = 10  # times that windows are given up because they alone tell a parameter
-_REBASINGS = 2  # of a fit about its own estimate of the maps' errors
 
 
 def prepare(twin: Twin, settings: SearchSettings, beside: Fit | None = None) -> Search:
@@ -226,50 +221,6 @@ def tolerance_responses(
     """
     own = tolerances(twin, at, settings, detail)
     return nuisance_responses(twin, at.fit.lanes(), at.simulated, own, linear)
-
-
-def verify(found: Search) -> Linearisation:
-    """Objectives of the health-only fit and of the leading singles with the estimated errors of the maps simulated.
-
-    Returns the health-only linearisation about those errors, and in the weather that it estimates: what that leaves
-    when it is taken linearly would be taken for a term without a name. Names are compared where each has its own
-    weather, linearly, as no refit of a few rounds comes as far along with it as the health-only fit.
-    """
-    null = found.null
-    beside = rebased(found, null.fit, in_weather=True)
-    if found.gain(found.singles[0]) < _VERIFIED_FROM * found.settings.alarm_gain:
-        return beside
-    base = rebased(found, null.fit)
-    changed = {fit.candidate.names: rebased(found, fit).fit for fit in found.singles[:_VERIFIED]}
-    null.fit = replace(null.fit, objective=min(base.fit.objective, null.fit.objective))
-    singles = [
-        replace(fit, objective=changed[fit.candidate.names].objective) if fit.candidate.names in changed else fit
-        for fit in found.singles
-    ]
-    found.singles = sorted(singles, key=lambda fit: fit.objective)
-    return beside
-
-
-def rebased(found: Search, fit: Fit, in_weather: bool = False) -> Linearisation:
-    """A fit about its own estimate of the maps' errors (`nuisance.Rebased`), in the metric of the health-only fit;
-    `in_weather`: and of the weather."""
-    null = found.null
-    at = null
-    if null.nuisance_response is None:
-        return at
-    residual = np.nan_to_num(found.twin.measured - simulate_fits(found.twin, [fit])[0])
-    for _ in range(_REBASINGS):
-        estimate = null.metric.nuisance_estimate(residual)
-        twin = found.twin
-        if belief_of(twin) is not None:
-            twin = rebased_learned(twin, found.nuisances, estimate)
-        else:
-            if in_weather:
-                twin = at_estimates(twin, found.nuisances, null.nuisance_response, estimate)
-            twin = cast(Twin, Rebased(twin, found.nuisances, null.nuisance_response, estimate))
-        at = fit_fully(twin, found.whitening, fit, rounds=3, frozen=null)
-        fit, residual = at.fit, np.nan_to_num(at.residual)
-    return at
 
 
 def in_own_metrics(found: Search, fits: Sequence[Fit]) -> list[Fit]:

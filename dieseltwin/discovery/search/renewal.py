@@ -78,6 +78,7 @@ def _renew(found: Search, kind: str, lead: Fit) -> None:
     found.twin, found.null, found.nuisances = fresh.twin, fresh.null, fresh.nuisances
     found.scored, found.chance = fresh.scored, fresh.chance
     found.singles, found.pairs, found.variants = fresh.singles, fresh.pairs, fresh.variants
+    found.simulated_errors = fresh.simulated_errors
 
 
 def _moved(found: Search, fresh: Search, fits: Sequence[Fit], first: tuple[Fit, Fit], bar: float) -> list[Fit]:

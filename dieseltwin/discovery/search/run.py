@@ -42,6 +42,7 @@ from dieseltwin.discovery.search.preparation import (
 )
 from dieseltwin.discovery.search.quick_inputs import is_made_again, likelier, with_inputs_between_rows
 from dieseltwin.discovery.search.renewal import BENDS, about_the_leader
+from dieseltwin.discovery.search.slopes import refit_by_slopes
 from dieseltwin.discovery.search.standing import explain_standing
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.search.variant_fits import scan_all, try_variants
@@ -102,6 +103,8 @@ def carry_on(
     try:
         with time_limit(left):
             _explain(found, in_full=time_s is not None)
+            if found.kind == "law" and refit_by_slopes(found):
+                _explain(found, in_full=time_s is not None)
             if time_s is not None or not is_made_again(found):  # what it leaves without a law says so already
                 found = _in_own_weather(found)
                 if found.kind == "law" and laws:

@@ -50,6 +50,8 @@ class Search:
         seconds: stage -> time that it took [s].
         standing: nearly all is explained by a valve that stands still, found before anything was scored.
         stage, unfinished: what is looked at, and the stages that no time was left for.
+        simulated_errors: whether explanations are compared with the maps' errors of each simulated
+            (`simulated_errors.verify`).
         unsettled: explanations that led in turns when the likelihood was renewed about the leading one.
         earlier: searches up to single effects under circumstances that were thought of before.
     """
@@ -89,6 +91,7 @@ class Search:
     standing: bool = False
     stage: str = ""
     unfinished: tuple[str, ...] = ()
+    simulated_errors: bool = False
     unsettled: list[tuple[str, ...]] = field(default_factory=list)
     earlier: list[Search] = field(default_factory=list)
 

@@ -20,6 +20,7 @@ from dieseltwin.discovery.search.courses import (
 )
 from dieseltwin.discovery.search.pauses import in_parts, in_the_same_parts
 from dieseltwin.discovery.search.preparation import in_own_metrics
+from dieseltwin.discovery.search.simulated_errors import verified
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.search.variants import (
     SECOND_EDGE,
@@ -51,6 +52,12 @@ def scan_all(at: Linearisation, scored: Sequence[Scored], least_share: float) ->
 
 def try_variants(found: Search) -> None:
     """Effects that begin in the middle or act in a part of the operating range only."""
+    _refit_parts(found)
+    fits = verified(found, [fit for _, fit in found.variants])
+    found.variants = in_order(found, [(v, fit) for (v, _), fit in zip(found.variants, fits, strict=True)])
+
+
+def _refit_parts(found: Search) -> None:
     top = found.gain(found.singles[0]) if found.singles else 0.0
     often = coming_and_going(found.null, found.scored, found.settings.least_share)
     _refit_variants(found, [v for v in (*found.scanned, *often) if v.gain > 0.5 * top])

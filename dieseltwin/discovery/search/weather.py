@@ -12,7 +12,6 @@ from dieseltwin.discovery.search.circumstances import bar_of, movable, shares_of
 from dieseltwin.discovery.search.settled import settle
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.interface import Twin
-from dieseltwin.recordings.channels import AMBIENT
 from dieseltwin.recordings.circumstances import TIME_SHIFT, Circumstance
 
 _UNSETTLED = 0.03  # of a prior's standard deviation (0.2 kPa, 0.5 K): beside a name weather is followed up to here
@@ -28,7 +27,7 @@ def in_weather_of(found: Search, fit: Fit) -> Twin | None:
     if not isinstance(twin, WithCircumstances):
         return None
     items = [item for item in movable(twin) if not item.kind]
-    if all(item.read for item in items if item.plain in AMBIENT):
+    if all(item.read for item in items):
         return None
     values = settle(found, twin, fit, items, {}).values
     other = twin.under({**twin.values, **values}, twin.opened)
