@@ -390,9 +390,20 @@ def test_beside_a_name_the_weather_is_followed_to_where_it_asks_for() -> None:
     other = in_weather_of(found, at.fit)
     assert isinstance(other, LoggedTwin)
     assert other.values["p_amb_pa"] == pytest.approx(95_500.0, abs=700.0)
-    told = recording(_leaking(120.0).assign(p_amb_pa=95_500.0, t_amb_k=285.15))
-    by_columns = LoggedTwin(told, we2011.PARAMETERS)
+    frame = _leaking(120.0).assign(p_amb_pa=95_500.0, t_amb_k=285.15)
+    by_columns = LoggedTwin(recording(frame.assign(t_im_k=we2011.PARAMETERS.T_im)), we2011.PARAMETERS)
     assert in_weather_of(prepare(by_columns, Options().settings()), first_fit(by_columns)) is None
+
+
+def test_a_charge_that_no_column_gives_is_followed_beside_ambient_columns() -> None:
+    """Beside the weather of the fit without it, EGR heating left 1.3 % of the cylinders' flow: 4 K of the charge."""
+    told = recording(_leaking(120.0).assign(p_amb_pa=95_500.0, t_amb_k=285.15))
+    twin = LoggedTwin(told, we2011.PARAMETERS, values={"t_im_k": we2011.PARAMETERS.T_im + 6.0})
+    found = prepare(twin, Options().settings())
+    at = recentred(found, first_fit(twin, Candidate(("exhaust_leak",)), [1.3e-5]))
+    other = in_weather_of(found, at.fit)
+    assert isinstance(other, LoggedTwin)
+    assert other.values["t_im_k"] == pytest.approx(we2011.PARAMETERS.T_im, abs=2.0)
 
 
 def test_weather_is_as_uncertain_as_what_the_best_name_makes_of_it_where_none_is_given() -> None:
