@@ -21,16 +21,15 @@ _LEAST_SHARE = 0.35  # of the best linear gain, as for names
 def refit_by_slopes(found: Search) -> bool:
     """Refit names by their derivative where that promises much more; whether another name leads by it."""
     known: dict[str, float] = {}
-    for item in found.scored:
-        known[item.name] = max(item.gain, known.get(item.name, 0.0))
-    for fit in found.singles:
-        known[fit.candidate.names[0]] = max(found.gain(fit), known[fit.candidate.names[0]])
+    before = [(item.name, item.gain) for item in found.scored]
+    for name, gain in (*before, *((fit.candidate.names[0], found.gain(fit)) for fit in found.singles)):
+        known[name] = max(gain, known.get(name, 0.0))
     smooth = [name for name in known if found.twin.hypotheses[name].smooth]
     wanted = [(name, _SHARE * size) for name, size in secant_sizes(found.twin, smooth)]
     if not wanted:
         return False
     scored = score(found.null, wanted, effect_responses(found.twin, found.null, wanted))
-    gains = [*(item.gain for item in found.everything_unnamed()[:1]), *(item.gain for item in scored)]
+    gains = [*(item.gain for item in scored), *(item.gain for item in found.everything_unnamed())]
     least = _LEAST_SHARE * max(gains)
     bent = [item for item in scored if item.gain > max(least, _STRAIGHT * known[item.name])]
     if not bent:
