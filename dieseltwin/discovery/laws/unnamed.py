@@ -95,7 +95,8 @@ def leading_refits(
     """
     for refit in refit_terms(twin, at, leading(structure, needed), since_s)[:_POLISHED]:
         if needed - _NEAR < refit.gain <= needed:
-            full = fit_fully(refit.twin, whitening, refit.fit, rounds=_ROUNDS, frozen=at)  # type: ignore[arg-type]
+            full = fit_fully(refit.twin, whitening, refit.fit, rounds=_ROUNDS, frozen=at,  # type: ignore[arg-type]
+                             ahead=at.fit.objective - needed)  # fmt: skip
             gain = at.fit.objective - full.fit.objective
             if gain > refit.gain:
                 refit = replace(refit, fit=full.fit, gain=gain)

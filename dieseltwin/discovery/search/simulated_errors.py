@@ -24,6 +24,7 @@ from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.interface import Twin
 
 _VERIFIED = 3  # of the leading fits
+_IN_REACH = 40.0  # gain by which a single effect may be behind and yet ahead, or as likely, with its errors simulated
 _VERIFIED_FROM = 0.7  # of the gain of an alarm
 _REBASINGS = 2  # of a fit about its own estimate of the maps' errors
 
@@ -42,10 +43,8 @@ def verify(found: Search) -> Linearisation:
     base = rebased(found, null.fit)
     null.fit = replace(null.fit, objective=min(base.fit.objective, null.fit.objective))
     found.simulated_errors = null.nuisance_response is not None
-    found.singles = sorted(
-        [*(_with_errors(found, fit) for fit in found.singles[:_VERIFIED]), *found.singles[_VERIFIED:]],
-        key=lambda fit: fit.objective,
-    )
+    done = _in_turn(found, found.singles, _IN_REACH)
+    found.singles = sorted([*done, *found.singles[len(done) :]], key=lambda fit: fit.objective)
     return beside
 
 
@@ -57,12 +56,7 @@ def verified(found: Search, fits: Sequence[Fit]) -> list[Fit]:
     """
     if not found.simulated_errors or not fits:
         return list(fits)
-    done = [_with_errors(found, fits[0])]
-    for fit in fits[1:_VERIFIED]:
-        if fit.objective < min(other.objective for other in done):
-            done.append(_with_errors(found, fit))
-        else:
-            break
+    done = _in_turn(found, fits, 0.0)
     lost = max(min(after.objective - before.objective for after, before in zip(done, fits, strict=False)), 0.0)
     return [*done, *(replace(fit, objective=fit.objective + lost) for fit in fits[len(done) :])]
 
@@ -72,6 +66,17 @@ def gain_of_term(found: Search, refit: Refit) -> float:
     if not found.simulated_errors:
         return refit.gain
     return found.null.fit.objective - rebased(found, refit.fit, laws=refit.twin.laws).fit.objective
+
+
+def _in_turn(found: Search, fits: Sequence[Fit], reach: float) -> list[Fit]:
+    """The first of some fits, best first, with their errors simulated, until the next is behind one by more than
+    `reach`."""
+    done = [_with_errors(found, fits[0])]
+    for fit in fits[1:_VERIFIED]:
+        if fit.objective > min(other.objective for other in done) + reach:
+            break
+        done.append(_with_errors(found, fit))
+    return done
 
 
 def _with_errors(found: Search, fit: Fit) -> Fit:
