@@ -154,10 +154,10 @@ def _best_pair(found: Search) -> Fit | None:
 def pair_beats_single(found: Search) -> bool:
     """Whether two effects explain more than one by what the second costs."""
     pair = _best_pair(found)
-    return pair is not None and found.gain(pair) - _pair_bar(found, pair) > found.gain(found.singles[0])
+    return pair is not None and found.gain(pair) - pair_bar(found, pair) > found.gain(found.singles[0])
 
 
-def _pair_bar(found: Search, pair: Fit) -> float:
+def pair_bar(found: Search, pair: Fit) -> float:
     """What two effects must be ahead of the best single one."""
     lead, settings = found.singles[0].candidate.names[0], found.settings
     added = [name for name in pair.candidate.names if name != lead]
@@ -312,7 +312,7 @@ def leading_kind(found: Search) -> tuple[float, str, Fit, Variant | None]:
         options.append((found.gain(timed_fit) - freedom_cost(found, timed), "variant", timed_fit, timed))
     pair = _best_pair(found)
     if pair is not None:
-        options.append((found.gain(pair) - _pair_bar(found, pair), "pair", pair, None))
+        options.append((found.gain(pair) - pair_bar(found, pair), "pair", pair, None))
     return max(options, key=lambda option: option[0])
 
 

@@ -8,10 +8,10 @@ import numpy as np
 
 from dieseltwin.discovery.likelihood.circumstances import WithCircumstances
 from dieseltwin.discovery.likelihood.fit import Fit, Linearisation
-from dieseltwin.discovery.search.circumstances import bar_of, movable, shares_of
+from dieseltwin.discovery.search.circumstances import bar_of, movable, shares_of, weather_is_read
 from dieseltwin.discovery.search.settled import settle
 from dieseltwin.discovery.search.state import Search
-from dieseltwin.discovery.twins.interface import Twin
+from dieseltwin.discovery.twins.interface import OverRecordings, Twin
 from dieseltwin.recordings.circumstances import TIME_SHIFT, Circumstance
 
 _UNSETTLED = 0.03  # of a prior's standard deviation (0.2 kPa, 0.5 K): beside a name weather is followed up to here
@@ -65,6 +65,20 @@ def with_reading_in_time(found: Search) -> Twin | None:
     if not late:
         return None
     return twin.under({name: value for name, value in twin.values.items() if name not in late}, twin.opened - late)
+
+
+def is_guessed(twin: Twin) -> bool:
+    """Whether no column gives the ambient of a twin of one recording."""
+    single = isinstance(twin, WithCircumstances) and not isinstance(twin, OverRecordings)
+    return single and not weather_is_read(cast(WithCircumstances, twin))
+
+
+def cost_of_weather(twin: Twin) -> float:
+    """-2 log density of the weather that a twin is in, over that of what was assumed."""
+    if not isinstance(twin, WithCircumstances):
+        return 0.0
+    away = [(twin.values.get(item.name, item.assumed) - item.assumed) / item.std for item in _guessed(twin)]
+    return float(np.sum(np.square(away)))
 
 
 def weather_is_settled(found: Search) -> bool:

@@ -1,0 +1,69 @@
+"""Two effects in the weather of health alone, or what there is in the weather that one of them asks for."""
+
+from __future__ import annotations
+
+from copy import copy
+
+import numpy as np
+import pytest
+
+from dieseltwin.discovery.search import run as search
+from dieseltwin.discovery.search.state import Search
+from dieseltwin.discovery.search.weather import cost_of_weather, is_guessed
+from dieseltwin.discovery.twins.diesel_circumstances import LoggedTwin
+from dieseltwin.discovery.twins.interface import Lanes
+from dieseltwin.engine import we2011
+from dieseltwin.recordings.reader import recording
+from tests.discovery.toy import SETTINGS, Toy
+
+
+class _Somewhere(Toy):
+    """A machine in weather that moves one of its readings."""
+
+    moved = 0.0
+
+    def simulate(self, lanes: Lanes) -> np.ndarray:
+        readings = super().simulate(lanes)
+        readings[..., 0] += self.moved
+        return readings
+
+
+@pytest.fixture(scope="module")
+def two() -> Search:
+    found = search.run(_Somewhere().record(gain=0.95, leak=0.05, x_offset=0.15), SETTINGS, laws=False)
+    assert found.kind == "pair"
+    return found
+
+
+@pytest.mark.parametrize(("moved", "kind"), [(0.15, "single"), (-0.3, "pair")])
+def test_the_likelier_weather_decides_whether_there_are_two(
+    two: Search, monkeypatch: pytest.MonkeyPatch, moved: float, kind: str
+) -> None:
+    """-0.3: there are two effects in that weather as well, of which one is larger than it has to be."""
+    there = copy(two.twin)
+    there.moved = moved  # type: ignore[attr-defined]
+    weathers = iter([there, None])
+    monkeypatch.setattr(search, "in_weather_of", lambda found, fit: next(weathers))
+    chosen = search._two_in_own_weather(two)
+    assert chosen.kind == kind and (chosen.twin is there) == (kind == "single")
+    if kind == "single":
+        assert chosen.best is not None and chosen.best.fit.candidate.names == ("leak",)
+        assert chosen.best.fit.magnitudes[0] == pytest.approx(0.05, abs=0.005)
+    else:
+        assert chosen is two
+
+
+def test_weather_costs_what_is_believed_of_it_where_no_column_gives_it() -> None:
+    steady = {"n_e_rpm": 1500.0, "u_delta_mg": 100.0, "u_egr_pct": 20.0, "u_vgt_pct": 50.0, "p_im_pa": 1.5e5,
+              "p_em_pa": 1.8e5, "omega_t_rad_s": 6000.0, "w_egr_kg_s": 0.02, "t_em_k": 750.0, "w_c_kg_s": 0.2}  # fmt: skip
+    frame = {name: np.full(600, value) for name, value in steady.items()}
+    frame["time_s"] = 0.1 * np.arange(600)
+    twin = LoggedTwin(recording(frame), we2011.PARAMETERS)
+    assert is_guessed(twin) and cost_of_weather(twin) == 0.0
+    (item,) = (item for item in twin.circumstances if item.name == "t_im_k")
+    colder = LoggedTwin(recording(frame), we2011.PARAMETERS, values={"t_im_k": item.assumed - 2.0 * item.std})
+    assert cost_of_weather(colder) == pytest.approx(4.0)
+    told = LoggedTwin(recording({**frame, "p_amb_pa": np.full(600, 1e5), "t_amb_k": np.full(600, 290.0)}),
+                      we2011.PARAMETERS, values={"p_amb_pa": 9e4})  # fmt: skip
+    assert not is_guessed(told) and cost_of_weather(told) == 0.0
+    assert not is_guessed(Toy()) and cost_of_weather(Toy()) == 0.0
