@@ -55,7 +55,7 @@ def test_the_likelier_weather_decides_whether_there_are_two(
 
 def test_weather_costs_what_is_believed_of_it_where_no_column_gives_it() -> None:
     steady = {"n_e_rpm": 1500.0, "u_delta_mg": 100.0, "u_egr_pct": 20.0, "u_vgt_pct": 50.0, "p_im_pa": 1.5e5,
-              "p_em_pa": 1.8e5, "omega_t_rad_s": 6000.0, "w_egr_kg_s": 0.02, "t_em_k": 750.0, "w_c_kg_s": 0.2}  # fmt: skip
+              "p_em_pa": 1.8e5, "omega_t_rad_s": 6000.0, "w_egr_kg_s": 0.02, "t_em_k": 750.0, "w_c_kg_s": 0.2}
     frame = {name: np.full(600, value) for name, value in steady.items()}
     frame["time_s"] = 0.1 * np.arange(600)
     twin = LoggedTwin(recording(frame), we2011.PARAMETERS)
