@@ -15,6 +15,7 @@ from dieseltwin.discovery.twins.interface import OverRecordings, Twin
 from dieseltwin.recordings.circumstances import TIME_SHIFT, Circumstance
 
 _UNSETTLED = 0.03  # of a prior's standard deviation (0.2 kPa, 0.5 K): beside a name weather is followed up to here
+_CHARGE_UNSETTLED = 0.15  # where columns give the ambient: 1.5 K, half a per cent of the flow into the cylinders
 
 
 def in_weather_of(found: Search, fit: Fit) -> Twin | None:
@@ -32,7 +33,8 @@ def in_weather_of(found: Search, fit: Fit) -> Twin | None:
     values = settle(found, twin, fit, items, {}).values
     other = twin.under({**twin.values, **values}, twin.opened)
     here = [twin.values.get(item.name, item.assumed) for item in items]
-    far = any(abs(values[i.name] - at) > _UNSETTLED * i.std for i, at in zip(items, here, strict=True))
+    bar = _CHARGE_UNSETTLED if weather_is_read(twin) else _UNSETTLED
+    far = any(abs(values[i.name] - at) > bar * i.std for i, at in zip(items, here, strict=True) if not i.read)
     return other if far else None
 
 
