@@ -41,7 +41,7 @@ from dieseltwin.discovery.search.preparation import (
     prepared_about,
     recentred,
 )
-from dieseltwin.discovery.search.quick_inputs import is_made_again, likelier, with_inputs_between_rows
+from dieseltwin.discovery.search.quick_inputs import ahead_of, is_made_again, likelier, with_inputs_between_rows
 from dieseltwin.discovery.search.renewal import BENDS, about_the_leader
 from dieseltwin.discovery.search.slopes import refit_by_slopes
 from dieseltwin.discovery.search.standing import explain_standing
@@ -66,6 +66,7 @@ _REFIT_SHARE = 0.35  # of the best linear gain: weaker hypotheses can't win even
 _UNSTUCK_ROUNDS = 6
 _RENEWALS = 3  # about the leading explanation, until it stays the same
 _WEATHERS = 3  # in which a name is tried that isn't enough in that of before
+_NEAR_ALARM = 0.5  # of an alarm's gain: from there on a name is looked at in the weather that it asks for
 _WITHIN = 1.25  # times the name's gain: what explains more than that isn't the weather's doing
 
 
@@ -167,8 +168,10 @@ def _about_leading_name(found: Search, starts: Sequence[Start] = ()) -> Search:
 def _in_own_weather(found: Search) -> Search:
     """The search again in the weather that the best name asks for, where that name isn't enough in the weather of
     before; that search where it is enough there, else the first one."""
-    if found.kind == "pair" and is_guessed(found.twin):
+    if is_guessed(found.twin) and found.kind == "pair":
         return _two_in_own_weather(found)
+    if is_guessed(found.twin) and found.kind == "healthy":
+        return _one_in_own_weather(found)
     if found.kind != "law" or not raises_alarm(found, found.singles[0]):
         return found
     more = [item.gain for item in (*found.nameless()[:1], *found.local[:1])]
@@ -197,12 +200,7 @@ def _two_in_own_weather(found: Search) -> Search:
     whose flow was 7.9 % short at 930 hPa that was 897 hPa, 10 K too little in the charge, 5.2 % and a warm intake. That
     weather takes the place of a true second effect as readily doesn't matter where either is searched in its own.
     """
-    here = found
-    for _ in range(_WEATHERS):
-        other = in_weather_of(here, here.singles[0])
-        if other is None:
-            break
-        here = _about_leading_name(_with_singles(prepare(other, found.settings)))
+    here = _where_lead_asks(found)
     if here is found:
         return found
     _explain(here)
@@ -212,6 +210,41 @@ def _two_in_own_weather(found: Search) -> Search:
         return either.explained() - spent - cost_of_weather(either.twin)
 
     return likelier(found, here, worth) if here.kind in ("single", "pair") else found
+
+
+def _one_in_own_weather(found: Search) -> Search:
+    """What seems well in the weather that health alone asks for, or what a name that is near an alarm there is in its
+    own: an alarm by as much as anywhere.
+
+    That weather may be the effect's for the most part: of a charge cooler's loss of 7 % were left 3.7 %, no alarm, and
+    a charge 9 K too warm, where 140 more is explained by the loss in the weather that it was recorded in.
+    """
+    if found.gain(found.singles[0]) < _NEAR_ALARM * found.gain_of_alarm:
+        return found
+    here = _where_lead_asks(found)
+    if here is found or not raises_alarm(here, here.singles[0]):
+        return found
+
+    def worth(either: Search) -> float:
+        gain = either.gain(either.singles[0]) if either is here else 0.0
+        return gain - cost_of_weather(either.twin)
+
+    if ahead_of(here, found, worth) < here.gain_of_alarm:
+        return found
+    _explain(here)
+    return found if here.kind == "healthy" else here
+
+
+def _where_lead_asks(found: Search) -> Search:
+    """The search up to single effects in the weather that the leading one asks for by itself; the same where it is
+    there."""
+    here = found
+    for _ in range(_WEATHERS):
+        other = in_weather_of(here, here.singles[0])
+        if other is None:
+            break
+        here = _about_leading_name(_with_singles(prepare(other, found.settings)))
+    return here
 
 
 def _in_short(twin: Twin, settings: SearchSettings, earlier: Sequence[Search] = ()) -> Search:

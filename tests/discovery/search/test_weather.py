@@ -1,13 +1,15 @@
-"""Two effects in the weather of health alone, or what there is in the weather that one of them asks for."""
+"""What is found in the weather that health alone asks for, and in the weather that an effect asks for."""
 
 from __future__ import annotations
 
 from copy import copy
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from dieseltwin.discovery.search import run as search
+from dieseltwin.discovery.search.preparation import prepare
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.search.weather import cost_of_weather, is_guessed
 from dieseltwin.discovery.twins.diesel_circumstances import LoggedTwin
@@ -51,6 +53,40 @@ def test_the_likelier_weather_decides_whether_there_are_two(
         assert chosen.best.fit.magnitudes[0] == pytest.approx(0.05, abs=0.005)
     else:
         assert chosen is two
+
+
+def _in_weather(twin: _Somewhere, moved: float) -> Search:
+    """A search up to single effects of the same readings in other weather."""
+    there = copy(twin)
+    there.measured, there.moved = twin.measured.copy(), moved
+    return search._with_singles(prepare(there, SETTINGS))
+
+
+def _near_an_alarm(found: Search, gain: float) -> Search:
+    """A search that has a name near an alarm, and none."""
+    lead = replace(found.singles[0], objective=found.null.fit.objective - gain)
+    return replace(found, singles=[lead], kind="healthy")
+
+
+def test_a_name_near_an_alarm_is_one_where_the_weather_that_it_asks_for_is_likelier(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A charge cooler's loss of 7 % was 3.7 % and a charge 9 K too warm, which is no alarm."""
+    twin = _Somewhere().record(gain=0.95, leak=0.02)
+    found = _near_an_alarm(_in_weather(twin, -0.06), 12.0)
+    monkeypatch.setattr(search, "_where_lead_asks", lambda found: _in_weather(twin, 0.0))
+    chosen = search._one_in_own_weather(found)
+    assert chosen.kind == "single" and chosen.singles[0].candidate.names == ("leak",)
+    far = _near_an_alarm(found, 6.0)
+    assert search._one_in_own_weather(far) is far
+
+
+def test_weather_that_only_a_name_makes_up_for_is_no_alarm(monkeypatch: pytest.MonkeyPatch) -> None:
+    well = _Somewhere().record(gain=0.95)
+    found, there = _near_an_alarm(_in_weather(well, 0.0), 12.0), _in_weather(well, 0.06)
+    assert there.gain(there.singles[0]) > 100.0
+    monkeypatch.setattr(search, "_where_lead_asks", lambda found: there)
+    assert search._one_in_own_weather(found) is found
 
 
 def test_weather_costs_what_is_believed_of_it_where_no_column_gives_it() -> None:
