@@ -16,6 +16,7 @@ from dieseltwin.discovery.search import preparation, standing
 from dieseltwin.discovery.search import run as search
 from dieseltwin.discovery.search.circumstances import leading
 from dieseltwin.discovery.search.quick_inputs import share_left
+from dieseltwin.discovery.search.singles import looked_at
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.diesel_circumstances import LoggedTwin
 from dieseltwin.discovery.twins.several import Occasion, SeveralTwin
@@ -216,7 +217,7 @@ def as_it_was(
     options = options or Options()
     twin = _twin(recording if minutes_max is None else liveliest(recording, minutes_max), engine, options,
                  learned)  # fmt: skip
-    found = search.looked_at(preparation.prepare(twin, options.settings()))
+    found = looked_at(preparation.prepare(twin, options.settings()))
     moved = found.twin.values if isinstance(found.twin, LoggedTwin) else {}
     shown = tuple(item for item in estimates(leading(found)) if item.circumstance.kind != DRIFT
                   and (item.off if learned is None else item.surely_off))  # fmt: skip

@@ -8,10 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 
-from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation
-from dieseltwin.discovery.likelihood.learned import belief_of
-from dieseltwin.discovery.likelihood.refit import nearer, refit_all
-from dieseltwin.discovery.likelihood.score import best_of_each
+from dieseltwin.discovery.likelihood.fit import Fit, Linearisation
 from dieseltwin.discovery.search.alarms import (
     clearly_named,
     hidden_bar,
@@ -21,28 +18,25 @@ from dieseltwin.discovery.search.alarms import (
     shown_by_simulation,
     shown_in_part,
 )
-from dieseltwin.discovery.search.by_recording import Start, refitted, starts_by_recording
-from dieseltwin.discovery.search.circumstances import ROUNDS, same_circumstances, under_circumstances
+from dieseltwin.discovery.search.circumstances import same_circumstances
 from dieseltwin.discovery.search.dating import date_edges
 from dieseltwin.discovery.search.explanations import (
     choose,
     choose_so_far,
     pair_bar,
     pair_beats_single,
-    polish,
     single_stands,
     try_more_pairs,
     try_pairs,
 )
 from dieseltwin.discovery.search.nameless import look_for_law
 from dieseltwin.discovery.search.preparation import (
-    lower_without,
     prepare,
-    prepared_about,
     recentred,
 )
 from dieseltwin.discovery.search.quick_inputs import ahead_of, is_made_again, likelier, with_inputs_between_rows
-from dieseltwin.discovery.search.renewal import BENDS, about_the_leader
+from dieseltwin.discovery.search.renewal import about_the_leader
+from dieseltwin.discovery.search.singles import about_leading_name, with_names, with_singles
 from dieseltwin.discovery.search.slopes import refit_by_slopes
 from dieseltwin.discovery.search.standing import explain_standing
 from dieseltwin.discovery.search.state import Search
@@ -62,9 +56,6 @@ from dieseltwin.settings.search import SearchSettings
 STAGES = ("terms without a name", "onsets and regions", "two effects", "a law")
 """What is looked at behind single effects, in this order."""
 
-_REFIT_SHARE = 0.35  # of the best linear gain: weaker hypotheses can't win even when non-linearity moves them
-_UNSTUCK_ROUNDS = 6
-_RENEWALS = 3  # about the leading explanation, until it stays the same
 _WEATHERS = 3  # in which a name is tried that isn't enough in that of before
 _NEAR_ALARM = 0.5  # of an alarm's gain: from there on a name is looked at in the weather that it asks for
 _WITHIN = 1.25  # times the name's gain: what explains more than that isn't the weather's doing
@@ -102,14 +93,14 @@ def carry_on(
         explain_standing(found)
         return found
     began = time.perf_counter()
-    found = _with_names(found, starts)
+    found = with_names(found, starts)
     left = None if time_s is None else time_s - (time.perf_counter() - began)
     try:
         with time_limit(left):
             _explain(found, in_full=time_s is not None)
-            if found.kind == "law" and refit_by_slopes(found):
-                _explain(found, in_full=time_s is not None)
             if time_s is not None or not is_made_again(found):  # what it leaves without a law says so already
+                if found.kind == "law" and refit_by_slopes(found):
+                    _explain(found, in_full=time_s is not None)
                 found = _in_own_weather(found)
                 if found.kind == "law" and laws:
                     found = _with_law(found)
@@ -137,32 +128,6 @@ def _with_inputs_between_rows(found: Search, laws: bool, time_s: float | None) -
     left = None if time_s is None else time_s - (time.perf_counter() - clock)
     here = carry_on(here, laws=laws, time_s=left)
     return here if stands else likelier(found, here)
-
-
-def _with_names(found: Search, starts: Sequence[Fit]) -> Search:
-    """Refits of single effects, about the leading one where what was learned of the maps bends."""
-    found = looked_at(found, starts)
-    clock = time.perf_counter()
-    found, by_recording = refitted(found, starts_by_recording(found))
-    found.seconds["by_recording"] = time.perf_counter() - clock
-    return _about_leading_name(found, by_recording)
-
-
-def _about_leading_name(found: Search, starts: Sequence[Start] = ()) -> Search:
-    """Single effects with what was learned of the maps about the one that leads; as they are where nothing was."""
-    for renewal in range(_RENEWALS):
-        lead = _lead(found)
-        if belief_of(found.twin) is None or found.gain(lead) < BENDS:
-            break
-        before = found
-        found, starts = refitted(_with_singles(prepared_about(found, lead), found.singles), starts)
-        found.unsettled, found.earlier = before.unsettled, before.earlier
-        both = [lead.candidate.names, _lead(found).candidate.names]
-        if both[0] == both[1]:
-            break
-        if renewal == _RENEWALS - 1:
-            found.unsettled = both
-    return found
 
 
 def _in_own_weather(found: Search) -> Search:
@@ -243,7 +208,7 @@ def _where_lead_asks(found: Search) -> Search:
         other = in_weather_of(here, here.singles[0])
         if other is None:
             break
-        here = _about_leading_name(_with_singles(prepare(other, found.settings)))
+        here = about_leading_name(with_singles(prepare(other, found.settings)))
     return here
 
 
@@ -258,7 +223,7 @@ def _in_short(twin: Twin, settings: SearchSettings, earlier: Sequence[Search] = 
         earlier: searches up to their single effects, one of which may be under the same circumstances.
     """
     there = next((each.anew() for each in earlier if same_circumstances(each.twin, twin)), None)
-    found = _about_leading_name(there or _with_singles(prepare(twin, settings)))
+    found = about_leading_name(there or with_singles(prepare(twin, settings)))
     if isinstance(found.twin, OverRecordings):  # what begins between two recordings is a name as well
         _explain(found)
         return found
@@ -317,63 +282,6 @@ def _choose_settled(found: Search, first: Linearisation) -> None:
     if not found.structure:
         score_terms(found, found.null)
     choose(found, None if renewed else first)
-
-
-def _lead(found: Search) -> Fit:
-    """The leading explanation so far: of one size, or one that differs between recordings."""
-    return min([found.singles[0], *(fit for _, fit in found.variants[:1])], key=lambda fit: fit.objective)
-
-
-def looked_at(found: Search, starts: Sequence[Fit] = ()) -> Search:
-    """A prepared search with its single effects, under the circumstances that the recording shows; `starts`: as of
-    `carry_on`."""
-    found = _with_singles(found, starts)
-    before = found
-    for _ in range(ROUNDS):
-        other = under_circumstances(found)
-        if other is None:
-            return found
-        before, found = found, _with_singles(prepare(other, found.settings))
-        found.earlier = [*before.earlier, before]
-    both = [_lead(each) for each in (before, found)]
-    if both[0].candidate.names != both[1].candidate.names and under_circumstances(found) is not None:
-        found.unsettled = [fit.candidate.names for fit in both]
-    return found
-
-
-def _with_singles(found: Search, before: Sequence[Fit] = ()) -> Search:
-    """Refits of every competitive single effect.
-
-    Args:
-        found: scored.
-        before: fits of single effects with another likelihood: where one of them is nearer to its minimum, it is the
-            start. (About an explanation the health-only fit lies far from every minimum, and a refit from there may
-            stop short of it in windows whose initial states turn round.)
-    """
-    clock = time.perf_counter()
-    ranked = best_of_each(found.scored)
-    top = max(ranked[0].gain, 1e-9) if ranked else 0.0
-    kept = [s for k, s in enumerate(ranked) if s.gain > _REFIT_SHARE * top or k < found.settings.refits]
-    fits = refit_all(found.null, [Candidate((s.name,)) for s in kept], [s.response[None] for s in kept])
-    promising = [found.settings.unstick and s.gain > found.settings.alarm_gain for s in kept]
-    fits = [_unstuck(found, fit) if more else fit for more, fit in zip(promising, fits, strict=True)]
-    found.singles = sorted(nearer(found.null, fits, before), key=lambda fit: fit.objective)
-    found.singles = polish(found, found.singles)
-    if not found.null.fit.converged:
-        found.null = lower_without(found, found.singles[0])
-    found.seconds["singles"] = time.perf_counter() - clock
-    return found
-
-
-def _unstuck(found: Search, fit: Fit) -> Fit:
-    """A refit that found no way down, with sensitivities of its own; any other as it is.
-
-    Next to a kink the response to a size of interest may point the wrong way (a pressure read low beside one read
-    high), and a chord along it leads uphill in every length.
-    """
-    if fit.converged or found.gain(fit) > 0.0:
-        return fit
-    return found.refitted(fit, _UNSTUCK_ROUNDS)
 
 
 def _nameless(found: Search) -> None:

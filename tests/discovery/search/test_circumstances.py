@@ -41,8 +41,8 @@ from dieseltwin.discovery.search.circumstances import (
     bar_of,
 )
 from dieseltwin.discovery.search.preparation import prepare, recentred
-from dieseltwin.discovery.search.run import looked_at
 from dieseltwin.discovery.search.settled import Settled
+from dieseltwin.discovery.search.singles import looked_at
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.search.weather import in_weather_of
 from dieseltwin.discovery.twins import diesel_circumstances

@@ -51,8 +51,9 @@ def test_a_law_that_would_be_thrown_away_is_not_looked_for(
     """With a limit of time the second search may not be reached, and the law of the first is the answer."""
     laws: list[object] = []
     found = _found("law", _ToOpen("open"))
-    monkeypatch.setattr(run, "_with_names", lambda found, starts: found)
+    monkeypatch.setattr(run, "with_names", lambda found, starts: found)
     monkeypatch.setattr(run, "_explain", lambda found, **_: None)
+    monkeypatch.setattr(run, "refit_by_slopes", lambda found: False)
     monkeypatch.setattr(run, "_in_own_weather", lambda found: found)
     monkeypatch.setattr(run, "_with_law", lambda found: laws.append(found) or found)
     monkeypatch.setattr(run, "_with_reading_in_time", lambda found: found)

@@ -28,6 +28,7 @@ from dieseltwin.discovery.likelihood.score import (
     ways_of_each,
 )
 from dieseltwin.discovery.search import run as search
+from dieseltwin.discovery.search import singles
 from dieseltwin.discovery.search.alarms import clearly_named, score_unnamed
 from dieseltwin.discovery.search.courses import schedule_of
 from dieseltwin.discovery.search.explanations import choose
@@ -432,8 +433,8 @@ def test_a_refit_that_found_no_way_down_gets_sensitivities_of_its_own() -> None:
     found = prepare(toy, SETTINGS)
     null = found.null.fit
     stuck = Fit(Candidate(("leak",)), null.parameters, np.zeros(1), null.local, null.objective, False)
-    freed = search._unstuck(found, stuck)
+    freed = singles._unstuck(found, stuck)
     assert freed.magnitudes[0] == pytest.approx(0.15, rel=0.1)
     assert found.gain(freed) > 100.0
     done = replace(stuck, converged=True)
-    assert search._unstuck(found, done) is done
+    assert singles._unstuck(found, done) is done

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from dieseltwin.discovery.search import run as search
 from dieseltwin.discovery.search.preparation import prepare
+from dieseltwin.discovery.search.singles import with_singles
 from dieseltwin.discovery.search.slopes import refit_by_slopes
 from dieseltwin.discovery.twins.interface import Lanes
 from tests.discovery.toy import SETTINGS, Toy
@@ -30,7 +30,7 @@ def test_a_name_whose_size_of_interest_crosses_an_edge_is_refitted_by_its_deriva
     twin.edge = 1.0
     twin.record(gain=0.95, leak=0.01)
     twin.edge = 0.012  # sizes of interest are 0.015
-    found = search._with_singles(prepare(twin, SETTINGS))
+    found = with_singles(prepare(twin, SETTINGS))
     found.singles = [fit for fit in found.singles if fit.candidate.names != ("leak",)]
     assert refit_by_slopes(found)
     assert found.singles[0].candidate.names == ("leak",)
@@ -40,6 +40,6 @@ def test_a_name_whose_size_of_interest_crosses_an_edge_is_refitted_by_its_deriva
 
 
 def test_names_that_are_straight_are_left_as_they_are() -> None:
-    found = search._with_singles(prepare(Toy().record(gain=0.95, leak=0.02), SETTINGS))
+    found = with_singles(prepare(Toy().record(gain=0.95, leak=0.02), SETTINGS))
     before = list(found.singles)
     assert not refit_by_slopes(found) and found.singles == before

@@ -10,6 +10,7 @@ import pytest
 
 from dieseltwin.discovery.search import run as search
 from dieseltwin.discovery.search.preparation import prepare
+from dieseltwin.discovery.search.singles import with_singles
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.search.weather import cost_of_weather, is_guessed
 from dieseltwin.discovery.twins.diesel_circumstances import LoggedTwin
@@ -59,7 +60,7 @@ def _in_weather(twin: _Somewhere, moved: float) -> Search:
     """A search up to single effects of the same readings in other weather."""
     there = copy(twin)
     there.measured, there.moved = twin.measured.copy(), moved
-    return search._with_singles(prepare(there, SETTINGS))
+    return with_singles(prepare(there, SETTINGS))
 
 
 def _near_an_alarm(found: Search, gain: float) -> Search:
