@@ -492,9 +492,9 @@ def test_a_law_is_looked_for_in_the_weather_that_was_assumed(monkeypatch: pytest
     """
     weathers = []
 
-    def noted(twin: Twin, settings: SearchSettings) -> Search:
+    def noted(twin: Twin, settings: SearchSettings, **more: object) -> Search:
         weathers.append(dict(cast(LoggedTwin, twin).values))
-        return prepare(twin, settings)
+        return prepare(twin, settings, **more)  # type: ignore[arg-type]
 
     monkeypatch.setattr(search_run, "prepare", noted)
     frame = _driven(120.0, Fault("charge_cooler_loss", 0.16), sensors=5)
