@@ -83,26 +83,37 @@ def learned_nuisances(
         whitening: of the readings.
         of_free: `map_columns` of what is free there, where they are known.
     """
-    columns = np.zeros((belief.mean.size, *simulated.shape))
     known = map_columns(twin, lanes, simulated, belief.free) if of_free is None else of_free
-    columns[MAPS_AT][belief.free] = known
-    columns[MAPS_AT, running_away(twin, simulated, known)] = 0.0
+    told, maps = _telling(twin, belief), len(known)
+    columns = np.zeros((told.size, *simulated.shape))
+    columns[:maps] = known
+    columns[:maps, running_away(twin, simulated, known)] = 0.0
     for j, name in enumerate(twin.channels):
-        channel = MEASURED.index(name)
-        factor = 1.0 / (1.0 + belief.gains[channel])
-        columns[GAINS_AT.start + channel, :, j] = factor * simulated[:, j]
-        columns[OFFSETS_AT.start + channel, :, j] = factor
+        factor = 1.0 / (1.0 + belief.gains[MEASURED.index(name)])
+        columns[maps + 2 * j, :, j] = factor * simulated[:, j]
+        columns[maps + 2 * j + 1, :, j] = factor
     whitened = whitening.apply(columns)
     factor_of_belief = belief.factor
-    seen, turn = np.linalg.eigh(factor_of_belief.T @ (whitened @ whitened.T) @ factor_of_belief)
+    seen, turn = np.linalg.eigh(factor_of_belief[told].T @ (whitened @ whitened.T) @ factor_of_belief[told])
     loadings = (factor_of_belief @ turn[:, seen > _SEEN][:, ::-1]).T
     loadings *= signs(loadings)[:, None]
-    of_maps = np.tensordot(loadings[:, MAPS_AT], columns[MAPS_AT], 1)
-    responses = np.tensordot(loadings, columns, 1)
+    of_maps = np.tensordot(loadings[:, told[:maps]], columns[:maps], 1)
+    responses = of_maps.copy()
+    for j in range(len(twin.channels)):  # a sensor's errors move its own channel alone
+        own = slice(maps + 2 * j, maps + 2 * j + 2)
+        responses[:, :, j] += loadings[:, told[own]] @ columns[own, :, j]
     return [
         Nuisance(f"learned {k + 1}", response=responses[k], loading=loadings[k], of_maps=of_maps[k])
         for k in range(len(loadings))
     ]
+
+
+def _telling(twin: Twin, belief: Belief) -> np.ndarray:
+    """Places (F + 2 C,) of the coordinates of a belief that readings answer to: of the maps those that are free, then
+    the gain and the offset of each channel. All others move nothing, and most of the maps' are none of these."""
+    channels = [MEASURED.index(name) for name in twin.channels]
+    sensors = [at.start + channel for channel in channels for at in (GAINS_AT, OFFSETS_AT)]
+    return np.array([*(MAPS_AT.start + np.flatnonzero(belief.free)), *sensors], dtype=np.int64)
 
 
 def loadings_of(nuisances: Sequence[Nuisance]) -> Array | None:

@@ -22,6 +22,7 @@ from dieseltwin.discovery.likelihood.circumstances import (
 from dieseltwin.discovery.likelihood.fit import PROMISED, Fit, Linearisation
 from dieseltwin.discovery.likelihood.learned import belief_of
 from dieseltwin.discovery.likelihood.score import score, without_parameters
+from dieseltwin.discovery.search.preparation import score_the_rest
 from dieseltwin.discovery.search.settled import Settled, by_leaving_out, by_taking_in, evidence_of, settle
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.search.variants import scan
@@ -170,10 +171,10 @@ def _rival(found: Search, at: Linearisation, enough: float) -> float:
     """What the catalogue, or a term without a name, would add to the best single effect; looked for up to `enough`."""
     if at is found.null:
         return 0.0
-    known = set(at.fit.candidate.names)
-    others = [item for item in found.scored if item.name not in known]
-    second = score(at, [(i.name, i.size) for i in others], np.stack([i.response for i in others])) if others else []
-    gain = max((item.gain for item in second), default=0.0)
+    gain = _second(found, at)
+    if found.in_short and gain < max(enough, found.settings.alarm_gain):
+        score_the_rest(found)
+        gain = _second(found, at)
     if gain < enough:
         timed = scan(found.null, found.scored, 1, found.settings.least_share)
         gain = max(gain, *(item.gain - found.gain(at.fit) for item in timed), 0.0)
@@ -182,6 +183,14 @@ def _rival(found: Search, at: Linearisation, enough: float) -> float:
         terms = [feature for feature in generic_features(found.twin, at.fit) if feature.fault != "lag"]
         gain = max(gain, *(item.held for item in score_features(at, terms)), 0.0)
     return gain
+
+
+def _second(found: Search, at: Linearisation) -> float:
+    """What the best of the scored effects would add to a fit."""
+    known = set(at.fit.candidate.names)
+    others = [item for item in found.scored if item.name not in known]
+    second = score(at, [(i.name, i.size) for i in others], np.stack([i.response for i in others])) if others else []
+    return max((item.gain for item in second), default=0.0)
 
 
 def _ahead_of_rivals(found: Search, twin: WithCircumstances, at: Linearisation, enough: float) -> float:

@@ -143,7 +143,7 @@ def try_more_pairs(found: Search) -> bool:
 
 def _polished_pairs(found: Search, fits: Sequence[Fit]) -> list[Fit]:
     """Fits of two effects, the leading ones refitted fully, best first, as single effects are compared."""
-    fits = verified(found, polish(found, sorted(fits, key=lambda fit: fit.objective), 3))
+    fits = verified(found, polish(found, sorted(fits, key=lambda fit: fit.objective), 3, near=True))
     return sorted(fits, key=lambda fit: fit.objective)
 
 
@@ -363,14 +363,18 @@ def _one_term_explains_more_than_names(
     return one_term_gains(found, needed, later, since_s)
 
 
-def polish(found: Search, fits: Sequence[Fit], count: int = _POLISHED) -> list[Fit]:
-    """Full refits of the leading fits; the rest as they are. Large effects take many steps, and rank wrongly before."""
+def polish(found: Search, fits: Sequence[Fit], count: int = _POLISHED, near: bool = False) -> list[Fit]:
+    """Full refits of the leading fits; the rest as they are. Large effects take many steps, and rank wrongly before.
+
+    `near`: what can't come near to the best one is followed no farther than to where that is plain.
+    """
     reach = max(_LEADING, _POLISHED_SHARE * found.gain(fits[0]))
     best = fits[0].objective
-    out = []
+    ahead, out = np.inf, []
     for k, fit in enumerate(fits):
         if k < count and fit.objective < best + reach and found.gain(fit) > 4.0:
-            out.append(found.refitted(fit, _POLISH_ROUNDS))
+            out.append(found.refitted(fit, _POLISH_ROUNDS, ahead))
+            ahead = min(ahead, out[-1].objective + _LEADING) if near else ahead
         else:
             out.append(fit)
     out.sort(key=lambda fit: fit.objective)

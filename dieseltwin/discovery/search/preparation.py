@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from typing import cast
 
@@ -50,10 +50,13 @@ from dieseltwin.settings.search import SearchSettings
 _ALONE_ROUNDS = 6
 _GROWTH = 1.0  # of the weight of initial states over a window, above which it is cut
 _PARTS = 4
+_NEAR = 0.02  # standard deviations between fits whose tolerances act alike: from 0.3 away sizes differ by 0.03
 _KINKS = 10  # times that windows are given up because they alone tell a parameter
 
 
-def prepare(twin: Twin, settings: SearchSettings, beside: Fit | None = None) -> Search:
+def prepare(
+    twin: Twin, settings: SearchSettings, beside: Fit | None = None, among: Collection[str] | None = None
+) -> Search:
     """Noise, health-only fit, tolerances, scores of all hypotheses: everything before a name is thought of.
 
     Args:
@@ -61,6 +64,7 @@ def prepare(twin: Twin, settings: SearchSettings, beside: Fit | None = None) -> 
         settings: thresholds.
         beside: an explanation of nearly all: noise, tolerances and scores are then about it (`Search.best`), and the
             health-only fit is in its metric.
+        among: only these are scored, where the one that leads is all that is asked; None: all.
 
     Raises:
         InputError: nothing is left of the catalogue.
@@ -98,7 +102,7 @@ def prepare(twin: Twin, settings: SearchSettings, beside: Fit | None = None) -> 
     if beside is not None:
         null, alone_tell = _without_kinks(null, lambda: _whitening(twin, noise, scatter))
         crooked |= alone_tell
-    found = _scored(null, noise, settings)
+    found = _scored(null, noise, settings, among)
     if beside is not None:
         alone = replace(null.fit, candidate=Candidate(), magnitudes=np.zeros(0), covariance=None)
         found.best, found.null = null, fit_fully(twin, null.whitening, alone, frozen=null)
@@ -147,11 +151,23 @@ def _tried(twin: Twin, settings: SearchSettings) -> list[tuple[str, float]]:
     return secant_sizes(twin, [name for name in twin.hypotheses if name not in settings.withhold])
 
 
-def _scored(null: Linearisation, noise: Noise, settings: SearchSettings) -> Search:
+def _scored(
+    null: Linearisation, noise: Noise, settings: SearchSettings, among: Collection[str] | None = None
+) -> Search:
     twin = null.twin
-    wanted = _tried(twin, settings)
+    wanted = [item for item in _tried(twin, settings) if among is None or item[0] in among]
     scored = score(null, wanted, effect_responses(twin, null, wanted))
     return Search(twin, settings, noise, null.whitening, null, scored, chance(null, scored, settings.seed))
+
+
+def score_the_rest(found: Search) -> None:
+    """Score the effects that weren't when only the leading one was asked."""
+    tried, known = _tried(found.twin, found.settings), {item.name for item in found.scored}
+    wanted = [item for item in tried if item[0] not in known]
+    if wanted:
+        more = score(found.null, wanted, effect_responses(found.twin, found.null, wanted))
+        found.scored = sorted([*found.scored, *more], key=lambda item: tried.index((item.name, item.size)))
+        found.chance = chance(found.null, found.scored, found.settings.seed)
 
 
 def prepared_about(found: Search, fit: Fit) -> Search:
@@ -171,7 +187,7 @@ def prepared_about(found: Search, fit: Fit) -> Search:
     at = fit_fully(twin, found.whitening, found.null.fit, responses, loadings=loadings_of(nuisances))
     renewed = _scored(settle_local(at), found.noise, found.settings)
     renewed.left_out, renewed.nuisances, renewed.scatter = found.left_out, nuisances, found.scatter
-    renewed.hidden = found.hidden
+    renewed.hidden, renewed.about = found.hidden, fit
     renewed.seconds["prepare"] = found.seconds["prepare"] + time.perf_counter() - clock
     return renewed
 
@@ -243,10 +259,24 @@ def recentred(found: Search, fit: Fit) -> Linearisation:
     tenth with intervals three times too narrow, and leaves structure that isn't there. Its objective is of its own.
     """
     twin = found.twin
-    at = Linearisation(twin, found.whitening, fit, found.null)
-    own = tolerances(twin, at, found.settings)
-    responses = nuisance_responses(twin, at.fit.lanes(), at.simulated, own)
+    if found.about is not None and _is_near(found.about, fit):
+        own, responses = found.nuisances, found.null.nuisance_response
+    else:
+        at = Linearisation(twin, found.whitening, fit, found.null)
+        own = tolerances(twin, at, found.settings)
+        responses = nuisance_responses(twin, at.fit.lanes(), at.simulated, own)
     return settle_local(fit_fully(twin, found.whitening, fit, responses, rounds=4, loadings=loadings_of(own)))
+
+
+def _is_near(one: Fit, other: Fit) -> bool:
+    """Whether an explanation is so near to another fit of it that tolerances taken about one are those about both."""
+    known, schedules = one.candidate.schedules, other.candidate.schedules
+    if one.candidate.names != other.candidate.names or known.keys() != schedules.keys():
+        return False
+    if not all(np.array_equal(own, schedules[name]) for name, own in known.items()):
+        return False
+    away = np.concatenate([other.parameters - one.parameters, other.magnitudes - one.magnitudes])
+    return bool(np.all(np.abs(away) < _NEAR * np.nan_to_num(other.std)))
 
 
 def lower_without(found: Search, lead: Fit) -> Linearisation:

@@ -75,7 +75,7 @@ def _renew(found: Search, kind: str, lead: Fit) -> None:
     if kind == "variant":  # where and when it acts was read off bent maps
         fresh.scanned = scan_all(fresh.null, fresh.scored, found.settings.least_share)
         try_variants(fresh)
-    found.twin, found.null, found.nuisances = fresh.twin, fresh.null, fresh.nuisances
+    found.twin, found.null, found.nuisances, found.about = fresh.twin, fresh.null, fresh.nuisances, fresh.about
     found.scored, found.chance = fresh.scored, fresh.chance
     found.singles, found.pairs, found.variants = fresh.singles, fresh.pairs, fresh.variants
     found.simulated_errors = fresh.simulated_errors

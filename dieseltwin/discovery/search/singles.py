@@ -4,7 +4,7 @@ learned of the maps bends, about the one that leads."""
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 from dieseltwin.discovery.likelihood.fit import Candidate, Fit
 from dieseltwin.discovery.likelihood.learned import belief_of
@@ -13,7 +13,8 @@ from dieseltwin.discovery.likelihood.score import best_of_each
 from dieseltwin.discovery.search.by_recording import Start, refitted, starts_by_recording
 from dieseltwin.discovery.search.circumstances import ROUNDS, under_circumstances
 from dieseltwin.discovery.search.explanations import polish
-from dieseltwin.discovery.search.preparation import lower_without, prepare, prepared_about
+from dieseltwin.discovery.search.leader import contenders, is_enough
+from dieseltwin.discovery.search.preparation import lower_without, prepare, prepared_about, score_the_rest
 from dieseltwin.discovery.search.renewal import BENDS
 from dieseltwin.discovery.search.state import Search
 
@@ -34,6 +35,8 @@ def with_names(found: Search, starts: Sequence[Fit]) -> Search:
 def about_leading_name(found: Search, starts: Sequence[Start] = ()) -> Search:
     """Single effects with what was learned of the maps about the one that leads; as they are where nothing was."""
     for renewal in range(_RENEWALS):
+        if found.in_short and found.gain(_lead(found)) < BENDS:
+            found = _with_all(found)
         lead = _lead(found)
         if belief_of(found.twin) is None or found.gain(lead) < BENDS:
             break
@@ -55,14 +58,17 @@ def _lead(found: Search) -> Fit:
 
 def looked_at(found: Search, starts: Sequence[Fit] = ()) -> Search:
     """A prepared search with its single effects, under the circumstances that the recording shows; `starts`: as of
-    `carry_on`."""
-    found = with_singles(found, starts)
-    before = found
+    `carry_on`. Where all are compared anew about the leading one, that is the only one that is surely as it should."""
+    found = with_singles(found, starts, to_lead=True)
+    before, names = found, frozenset(name for fit in found.singles for name in fit.candidate.names)
     for _ in range(ROUNDS):
         other = under_circumstances(found)
         if other is None:
             return found
-        before, found = found, with_singles(prepare(other, found.settings))
+        before, found = found, prepare(other, found.settings, among=names if found.in_short else None)
+        found = with_singles(found, to_lead=True, only=contenders(before) if before.in_short else None)
+        if before.in_short and not found.in_short:
+            found = _with_all(found)
         found.earlier = [*before.earlier, before]
     both = [_lead(each) for each in (before, found)]
     if both[0].candidate.names != both[1].candidate.names and under_circumstances(found) is not None:
@@ -70,7 +76,15 @@ def looked_at(found: Search, starts: Sequence[Fit] = ()) -> Search:
     return found
 
 
-def with_singles(found: Search, before: Sequence[Fit] = ()) -> Search:
+def _with_all(found: Search) -> Search:
+    """A search of which only the leading effect was asked, with all of them."""
+    score_the_rest(found)
+    return with_singles(found, found.singles)
+
+
+def with_singles(
+    found: Search, before: Sequence[Fit] = (), *, to_lead: bool = False, only: Collection[str] | None = None
+) -> Search:
     """Refits of every competitive single effect.
 
     Args:
@@ -78,16 +92,21 @@ def with_singles(found: Search, before: Sequence[Fit] = ()) -> Search:
         before: fits of single effects with another likelihood: where one of them is nearer to its minimum, it is the
             start. (About an explanation the health-only fit lies far from every minimum, and a refit from there may
             stop short of it in windows whose initial states turn round.)
+        to_lead: where all are compared anew about the leading one, what can't come near to it isn't refitted fully.
+        only: of which one leads; None: of any.
     """
     clock = time.perf_counter()
     ranked = best_of_each(found.scored)
     top = max(ranked[0].gain, 1e-9) if ranked else 0.0
     kept = [s for k, s in enumerate(ranked) if s.gain > _REFIT_SHARE * top or k < found.settings.refits]
+    kept = [s for s in kept if only is None or s.name in only] or kept
     fits = refit_all(found.null, [Candidate((s.name,)) for s in kept], [s.response[None] for s in kept])
     promising = [found.settings.unstick and s.gain > found.settings.alarm_gain for s in kept]
     fits = [_unstuck(found, fit) if more else fit for more, fit in zip(promising, fits, strict=True)]
     found.singles = sorted(nearer(found.null, fits, before), key=lambda fit: fit.objective)
-    found.singles = polish(found, found.singles)
+    to_lead = to_lead and is_enough(found, found.singles)
+    found.in_short = to_lead
+    found.singles = polish(found, found.singles, near=to_lead)
     if not found.null.fit.converged:
         found.null = lower_without(found, found.singles[0])
     found.seconds["singles"] = time.perf_counter() - clock

@@ -29,7 +29,8 @@ class Search:
         twin, settings: what is searched, and the thresholds.
         noise, whitening, scatter: of the readings, and what they scatter by beside their noise.
         null: health-only fit.
-        nuisances: tolerances of maps, sensors and circumstances about it.
+        nuisances: tolerances of maps, sensors and circumstances about it, or
+        about: the explanation that they were taken about; None: health alone.
         scored, chance: linear estimates of all effects, and the largest gain of them by chance.
         singles, pairs, variants: refits of one effect, of two, of one that acts at times or in a region, best first.
         scanned: linear estimates of the last.
@@ -54,6 +55,8 @@ class Search:
             (`simulated_errors.verify`).
         unsettled: explanations that led in turns when the likelihood was renewed about the leading one.
         earlier: searches up to single effects under circumstances that were thought of before.
+        in_short: only of the single effect that leads is known what it explains (`leader`); all that is compared needs
+            the others.
     """
 
     twin: Twin
@@ -82,6 +85,7 @@ class Search:
     law: Law | None = None
     refused: str = ""
     nuisances: list[Nuisance] = field(default_factory=list)
+    about: Fit | None = None
     scatter: ModelScatter | None = None
     left_out: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
     hidden: np.ndarray | None = None
@@ -94,6 +98,7 @@ class Search:
     simulated_errors: bool = False
     unsettled: list[tuple[str, ...]] = field(default_factory=list)
     earlier: list[Search] = field(default_factory=list)
+    in_short: bool = False
 
     def anew(self) -> Search:
         """The same for a search of its own, as long as nothing was looked for here."""
@@ -123,9 +128,10 @@ class Search:
             return 0.0 if self.law is None else self.law.gain
         return 0.0 if self.best is None else max(self.gain(fit) for fit in self._chosen())
 
-    def refitted(self, fit: Fit, rounds: int) -> Fit:
-        """A fit carried on with sensitivities of every round, in the metric of the health-only fit."""
-        return fit_fully(self.twin, self.whitening, fit, rounds=rounds, frozen=self.null).fit
+    def refitted(self, fit: Fit, rounds: int, ahead: float = np.inf) -> Fit:
+        """A fit carried on with sensitivities of every round, in the metric of the health-only fit; `ahead`: as of
+        `fit_fully`."""
+        return fit_fully(self.twin, self.whitening, fit, rounds=rounds, frozen=self.null, ahead=ahead).fit
 
     def fits_of(self, kind: str) -> list[Fit]:
         """Fits of all explanations of a kind."""

@@ -31,6 +31,7 @@ from dieseltwin.discovery.likelihood.fit import Candidate, Linearisation, first_
 from dieseltwin.discovery.likelihood.metric import Whitening
 from dieseltwin.discovery.options import Options
 from dieseltwin.discovery.search import run as search_run
+from dieseltwin.discovery.search import singles
 from dieseltwin.discovery.search.alarms import _unnamed
 from dieseltwin.discovery.search.circumstances import (
     _chosen,
@@ -492,11 +493,12 @@ def test_a_law_is_looked_for_in_the_weather_that_was_assumed(monkeypatch: pytest
     """
     weathers = []
 
-    def noted(twin: Twin, settings: SearchSettings) -> Search:
+    def noted(twin: Twin, settings: SearchSettings, **more: object) -> Search:
         weathers.append(dict(cast(LoggedTwin, twin).values))
-        return prepare(twin, settings)
+        return prepare(twin, settings, **more)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(search_run, "prepare", noted)
+    for module in (search_run, singles):
+        monkeypatch.setattr(module, "prepare", noted)
     frame = _driven(120.0, Fault("charge_cooler_loss", 0.16), sensors=5)
     document = discover(recording(frame), we2011.PARAMETERS, Options(withhold=("charge_cooler_loss",))).document
     (effect,) = document.effects
