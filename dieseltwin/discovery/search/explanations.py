@@ -137,7 +137,7 @@ def try_more_pairs(found: Search) -> bool:
         fits += _joined(base, seconds)
     if not fits:
         return False
-    found.pairs = _polished_pairs(found, [*found.pairs, *fits])
+    found.pairs = sorted([*found.pairs, *_polished_pairs(found, fits)], key=lambda fit: fit.objective)
     return found.gain(found.pairs[0]) > before + found.settings.left_ahead
 
 
@@ -180,7 +180,7 @@ def choose(found: Search, first: Linearisation | None, beside: tuple[str, ...] =
     best, kind, fit, variant = leading_kind(found)
     later = _unnamed_since(found, variant)
     ahead = best + settings.law_gain + settings.variant_gain
-    if _nameless_is_ahead(found, best) or any(terms[0].gain > ahead for _, terms in later):
+    if _nameless_is_ahead(found, best) or any(_is_ahead(found, terms, ahead, since_s) for since_s, terms in later):
         found.kind = "law"
         return
     found.kind, found.variant = kind, variant
@@ -217,10 +217,16 @@ def _nameless_is_ahead(found: Search, value: float) -> bool:
     """
     bar = value + found.settings.law_gain
     bump = found.local_ahead(bar)
-    ahead = [item for item in (*found.nameless(), *([] if bump is None else [bump])) if item.gain > bar]
+    terms = sorted([*found.nameless(), *([] if bump is None else [bump])], key=lambda item: -item.gain)
+    return _is_ahead(found, terms, bar)
+
+
+def _is_ahead(found: Search, terms: Sequence[Structure], bar: float, since_s: float | None = None) -> bool:
+    """Whether one of some terms gains more; faults of sensors, which aren't simulated, by their linear score."""
+    ahead = [item for item in terms if item.gain > bar]
     if not found.simulated_errors or any(item.feature.form is None for item in ahead):
         return bool(ahead)
-    return one_term_gains(found, bar, sorted(ahead, key=lambda item: -item.gain))
+    return one_term_gains(found, bar, ahead, since_s)
 
 
 def _unnamed_since(found: Search, variant: Variant | None) -> list[tuple[float, list[Structure]]]:

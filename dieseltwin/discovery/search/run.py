@@ -101,7 +101,7 @@ def carry_on(
             if time_s is not None or not is_made_again(found):  # what it leaves without a law says so already
                 if found.kind == "law" and refit_by_slopes(found):
                     _explain(found, in_full=time_s is not None)
-                found = _in_own_weather(found)
+                found = _in_own_weather_in_time(found)
                 if found.kind == "law" and laws:
                     found = _with_law(found)
                     found = _with_reading_in_time(found)
@@ -128,6 +128,16 @@ def _with_inputs_between_rows(found: Search, laws: bool, time_s: float | None) -
     left = None if time_s is None else time_s - (time.perf_counter() - clock)
     here = carry_on(here, laws=laws, time_s=left)
     return here if stands else likelier(found, here)
+
+
+def _in_own_weather_in_time(found: Search) -> Search:
+    """The same as `_in_own_weather`; where time is over, what was found before, if that was an answer."""
+    try:
+        return _in_own_weather(found)
+    except OutOfTimeError:
+        if found.kind == "law":
+            raise
+        return found
 
 
 def _in_own_weather(found: Search) -> Search:
@@ -190,14 +200,14 @@ def _one_in_own_weather(found: Search) -> Search:
     if here is found or not raises_alarm(here, here.singles[0]):
         return found
 
-    def worth(either: Search) -> float:
-        gain = either.gain(either.singles[0]) if either is here else 0.0
-        return gain - cost_of_weather(either.twin)
+    def ahead(gain: float) -> float:
+        return ahead_of(here, found, lambda each: gain * (each is here) - cost_of_weather(each.twin))
 
-    if ahead_of(here, found, worth) < here.gain_of_alarm:
+    if ahead(here.gain(here.singles[0])) < here.gain_of_alarm:
         return found
     _explain(here)
-    return found if here.kind == "healthy" else here
+    named = here.kind not in ("healthy", "law")
+    return here if named and ahead(here.explained()) >= here.gain_of_alarm else found
 
 
 def _where_lead_asks(found: Search) -> Search:
@@ -244,6 +254,7 @@ def _explain(found: Search, *, in_full: bool = False) -> None:
     whatever they say, until they are chosen from: they are scored anew where the likelihood is renewed.
     """
     found.kind, found.best, found.stage = "healthy", None, STAGES[0]
+    found.refused, found.pairs = "", []  # of a search before names were refitted by their derivatives
     found.scanned = scan_all(found.null, found.scored, found.settings.least_share)
     tried = [*found.scanned, *(variant for variant, _ in found.variants)]
     once = [variant for variant in tried if not variant.gone]  # many parts follow the driving where a map is off

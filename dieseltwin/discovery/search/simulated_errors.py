@@ -2,7 +2,8 @@
 
 Next to a kink (no flow back through the EGR valve at p_em = p_im) or where a window is nearly unstable, the tolerances
 take up linearly what no simulation of them does. For a weak misfit that decides: what is ahead there is compared
-again, all kinds of explanations alike. With single effects alone compared so, the pair of a right name with another one
+again: single effects, pairs, what acts in parts and terms without a name (faults of sensors without one stay linear).
+With single effects alone compared so, the pair of a right name with another one
 was ahead of it by what the right name had lost.
 """
 
@@ -24,7 +25,7 @@ from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.interface import Twin
 
 _VERIFIED = 3  # of the leading fits
-_IN_REACH = 40.0  # gain by which a single effect may be behind and yet ahead, or as likely, with its errors simulated
+_BEHIND = 40.0  # gain by which a single effect may be behind and yet ahead, or as likely, with its errors simulated
 _VERIFIED_FROM = 0.7  # of the gain of an alarm
 _REBASINGS = 2  # of a fit about its own estimate of the maps' errors
 
@@ -41,9 +42,9 @@ def verify(found: Search) -> Linearisation:
     if found.gain(found.singles[0]) < _VERIFIED_FROM * found.settings.alarm_gain:
         return beside
     base = rebased(found, null.fit)
+    done = _in_turn(found, found.singles, _BEHIND)  # all before anything is changed: time may be over
     null.fit = replace(null.fit, objective=min(base.fit.objective, null.fit.objective))
-    found.simulated_errors = null.nuisance_response is not None
-    done = _in_turn(found, found.singles, _IN_REACH)
+    found.simulated_errors = bool(found.nuisances)
     found.singles = sorted([*done, *found.singles[len(done) :]], key=lambda fit: fit.objective)
     return beside
 

@@ -58,15 +58,17 @@ def _lead(found: Search) -> Fit:
 
 def looked_at(found: Search, starts: Sequence[Fit] = ()) -> Search:
     """A prepared search with its single effects, under the circumstances that the recording shows; `starts`: as of
-    `carry_on`. Where all are compared anew about the leading one, that is the only one that is surely as it should."""
+    `carry_on`. Where all are compared anew about the leading one (`leader`), the others may not be refitted fully."""
     found = with_singles(found, starts, to_lead=True)
-    before, names = found, frozenset(name for fit in found.singles for name in fit.candidate.names)
+    before, names = found, _names(found)
     for _ in range(ROUNDS):
         other = under_circumstances(found)
         if other is None:
             return found
         before, found = found, prepare(other, found.settings, among=names if found.in_short else None)
         found = with_singles(found, to_lead=True, only=contenders(before) if before.in_short else None)
+        if not before.in_short:
+            names = _names(found)
         if before.in_short and not found.in_short:
             found = _with_all(found)
         found.earlier = [*before.earlier, before]
@@ -74,6 +76,10 @@ def looked_at(found: Search, starts: Sequence[Fit] = ()) -> Search:
     if both[0].candidate.names != both[1].candidate.names and under_circumstances(found) is not None:
         found.unsettled = [fit.candidate.names for fit in both]
     return found
+
+
+def _names(found: Search) -> frozenset[str]:
+    return frozenset(name for fit in found.singles for name in fit.candidate.names)
 
 
 def _with_all(found: Search) -> Search:

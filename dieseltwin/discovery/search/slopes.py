@@ -11,6 +11,7 @@ from dieseltwin.discovery.likelihood.fit import Candidate
 from dieseltwin.discovery.likelihood.refit import refit_all
 from dieseltwin.discovery.likelihood.score import effect_responses, score, secant_sizes
 from dieseltwin.discovery.search.explanations import polish
+from dieseltwin.discovery.search.simulated_errors import verified
 from dieseltwin.discovery.search.state import Search
 
 _SHARE = 0.02  # of the size at which an effect is scored
@@ -36,7 +37,8 @@ def refit_by_slopes(found: Search) -> bool:
         return False
     lead = found.singles[0]
     fits = refit_all(found.null, [Candidate((item.name,)) for item in bent], [item.response[None] for item in bent])
+    fits = verified(found, polish(found, sorted(fits, key=lambda fit: fit.objective)))  # as the others are compared
     either = sorted([*found.singles, *fits], key=lambda fit: fit.objective)
     best = {fit.candidate.names: fit for fit in reversed(either)}
-    found.singles = polish(found, sorted(best.values(), key=lambda fit: fit.objective))
+    found.singles = sorted(best.values(), key=lambda fit: fit.objective)
     return found.singles[0].candidate.names != lead.candidate.names

@@ -31,6 +31,7 @@ from dieseltwin.discovery.search.variants import (
     same_region,
     scan,
 )
+from dieseltwin.discovery.time_limit import OutOfTimeError
 from dieseltwin.discovery.twins.interface import Twin
 from dieseltwin.discovery.twins.onset_times import ONSET_REACHES_S, times_about
 
@@ -53,7 +54,11 @@ def scan_all(at: Linearisation, scored: Sequence[Scored], least_share: float) ->
 def try_variants(found: Search) -> None:
     """Effects that begin in the middle or act in a part of the operating range only."""
     _refit_parts(found)
-    fits = verified(found, [fit for _, fit in found.variants])
+    try:
+        fits = verified(found, [fit for _, fit in found.variants])
+    except OutOfTimeError:
+        found.variants = []  # they can't be compared with what was verified
+        raise
     found.variants = in_order(found, [(v, fit) for (v, _), fit in zip(found.variants, fits, strict=True)])
 
 

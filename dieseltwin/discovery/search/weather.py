@@ -27,14 +27,14 @@ def in_weather_of(found: Search, fit: Fit) -> Twin | None:
     twin = found.twin
     if not isinstance(twin, WithCircumstances):
         return None
-    items = [item for item in movable(twin) if not item.kind]
-    if all(item.read for item in items):
+    items = _guessed(twin)  # a barometer stays where it is
+    if not items:
         return None
     values = settle(found, twin, fit, items, {}).values
     other = twin.under({**twin.values, **values}, twin.opened)
     here = [twin.values.get(item.name, item.assumed) for item in items]
     bar = _CHARGE_UNSETTLED if weather_is_read(twin) else _UNSETTLED
-    far = any(abs(values[i.name] - at) > bar * i.std for i, at in zip(items, here, strict=True) if not i.read)
+    far = any(abs(values[i.name] - at) > bar * i.std for i, at in zip(items, here, strict=True))
     return other if far else None
 
 
@@ -70,16 +70,17 @@ def with_reading_in_time(found: Search) -> Twin | None:
 
 
 def is_guessed(twin: Twin) -> bool:
-    """Whether no column gives the ambient of a twin of one recording."""
+    """Whether columns don't give the whole ambient of a twin of one recording."""
     single = isinstance(twin, WithCircumstances) and not isinstance(twin, OverRecordings)
     return single and not weather_is_read(cast(WithCircumstances, twin))
 
 
 def cost_of_weather(twin: Twin) -> float:
-    """-2 log density of the weather that a twin is in, over that of what was assumed."""
+    """-2 log density of the weather that a twin is in, over that of what was assumed, or read."""
     if not isinstance(twin, WithCircumstances):
         return 0.0
-    away = [(twin.values.get(item.name, item.assumed) - item.assumed) / item.std for item in _guessed(twin)]
+    weather = (item for item in movable(twin) if not item.kind)
+    away = [(twin.values.get(item.name, item.assumed) - item.assumed) / item.std for item in weather]
     return float(np.sum(np.square(away)))
 
 

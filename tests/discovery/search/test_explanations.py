@@ -31,3 +31,14 @@ def test_what_a_name_s_own_law_leaves_takes_no_name_away(
     found.pairs, found.variants, found.structure, found.local = [], [], [], []
     choose(found, None)
     assert found.kind == kind and found.refused == ("" if kind == "single" else "single")
+
+
+def test_an_explanation_that_was_refused_before_is_chosen_once_where_names_were_added() -> None:
+    """With what was refused kept, pairs were tried and the choice was made twice: its intervals were widened twice."""
+    found = search.run(Toy().record(gain=0.95, leak=0.1), SETTINGS, laws=False)
+    assert found.best is not None
+    std, pairs = found.best.fit.std.copy(), found.pairs
+    found.refused, found.pairs = "single", [found.singles[0]]
+    search._explain(found)
+    assert found.kind == "single" and found.refused == "" and len(found.pairs) == len(pairs)
+    assert found.best is not None and found.best.fit.std == pytest.approx(std)

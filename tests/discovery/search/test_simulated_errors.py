@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import pytest
 
-from dieseltwin.discovery.likelihood.fit import Fit, Linearisation
+from dieseltwin.discovery.laws.unnamed import leading_refits
+from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation
 from dieseltwin.discovery.search import explanations, simulated_errors
 from dieseltwin.discovery.search import run as search
 from dieseltwin.discovery.search.alarms import score_unnamed
 from dieseltwin.discovery.search.explanations import single_stands
-from dieseltwin.discovery.search.simulated_errors import gain_of_term, verified, verify
+from dieseltwin.discovery.search.simulated_errors import verified, verify
 from dieseltwin.discovery.search.state import Search
 from tests.discovery.toy import SETTINGS, Toy
 
@@ -37,7 +38,7 @@ def _losing(monkeypatch: pytest.MonkeyPatch, lost: dict[str, float]) -> list[tup
 
 def test_a_pair_loses_what_its_single_effect_lost(found: Search, monkeypatch: pytest.MonkeyPatch) -> None:
     """A right name had 128 linearly and 72 simulated; beside it an EGR valve's offset was ahead by 60 for nothing."""
-    own = replace(found, singles=list(found.singles))
+    own = replace(found.anew(), singles=list(found.singles))
     _losing(monkeypatch, {"leak": 20.0})
     before = own.gain(own.singles[0])
     verify(own)
@@ -61,16 +62,38 @@ def test_of_many_that_lead_the_last_lose_as_little_as_any(found: Search, monkeyp
 
 def test_a_term_that_seems_ahead_is_simulated(found: Search, monkeypatch: pytest.MonkeyPatch) -> None:
     """The vanes' offset had 116 linearly, as a term without a name 98, and 72 simulated: the name is enough."""
-    own = replace(found, singles=list(found.singles))
+    own = replace(found.anew(), singles=list(found.singles))
     assert score_unnamed(own)[0]
-    own.kind, own.simulated_errors = "single", True
+    own.kind, own.best, own.nuisances = "single", None, found.nuisances
+    bar = own.gain(own.singles[0]) + SETTINGS.law_gain
     some = next(item for item in own.structure if item.feature.form is not None and item.feature.effect is None)
-    gain = own.gain(own.singles[0]) + SETTINGS.law_gain + 5.0
-    own.structure = [replace(some, gain=gain, held=gain)]
-    assert single_stands(own)  # refitted it gains less than its score says
-    monkeypatch.setattr(explanations, "gain_of_term", lambda found, refit: gain)
-    refits = [refit for refit in explanations.leading_refits(
-        own.twin, own.whitening, own.null, own.structure, gain - 60.0)]  # fmt: skip
-    assert refits and gain_of_term(own, refits[0]) < gain
+    own.structure = [replace(some, gain=bar + 5.0, held=bar + 5.0)]
     own.simulated_errors = False
     assert not single_stands(own)  # where names are compared linearly, so is the term
+    own.simulated_errors = True
+    (refit, *_) = leading_refits(own.twin, own.whitening, own.null, own.structure, bar)
+    fitted = [replace(refit, gain=bar + 5.0)]
+    monkeypatch.setattr(explanations, "leading_refits", lambda *_: iter(fitted))
+    for simulated, stands in ((bar - 5.0, True), (bar + 5.0, False)):
+        monkeypatch.setattr(explanations, "gain_of_term", lambda found, refit, gain=simulated: gain)
+        assert single_stands(own) is stands
+
+
+def test_pairs_that_were_compared_pay_once(found: Search, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A first pair of 72 had 27 beside three that were found later and lead linearly."""
+    monkeypatch.setattr(explanations, "polish", lambda found, fits, count, near: list(fits))
+    own = replace(found.anew(), simulated_errors=True)
+    _losing(monkeypatch, {"leak": 50.0, "drag": 50.0})
+    some, null = own.singles[0], own.null.fit.objective
+
+    def pair(one: str, other: str, gain: float) -> Fit:
+        return replace(some, candidate=Candidate((one, other)), objective=null - gain)
+
+    own.pairs = [pair("a", "b", 72.0)]  # compared in the first round
+    later = [pair("c", "leak", 100.0), pair("d", "leak", 95.0), pair("e", "leak", 90.0)]
+    monkeypatch.setattr(explanations, "_joined", lambda base, seconds: later)
+    monkeypatch.setattr(explanations, "_beyond", lambda *_: own.scored)
+    own.singles = [own.singles[0], own.singles[1]]
+    explanations.try_more_pairs(own)
+    assert own.pairs[0].candidate.names == ("a", "b") and own.gain(own.pairs[0]) == pytest.approx(72.0)
+    assert own.gain(own.pairs[1]) == pytest.approx(50.0)

@@ -13,6 +13,7 @@ from dieseltwin.discovery.search.preparation import prepare
 from dieseltwin.discovery.search.singles import with_singles
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.search.weather import cost_of_weather, is_guessed
+from dieseltwin.discovery.time_limit import OutOfTimeError
 from dieseltwin.discovery.twins.diesel_circumstances import LoggedTwin
 from dieseltwin.discovery.twins.interface import Lanes
 from dieseltwin.engine import we2011
@@ -54,6 +55,22 @@ def test_the_likelier_weather_decides_whether_there_are_two(
         assert chosen.best.fit.magnitudes[0] == pytest.approx(0.05, abs=0.005)
     else:
         assert chosen is two
+
+
+@pytest.mark.parametrize("kind", ["pair", "healthy", "law"])
+def test_an_answer_stays_whole_where_time_is_over_in_other_weather(
+    two: Search, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    def over(found: Search) -> Search:
+        raise OutOfTimeError
+
+    monkeypatch.setattr(search, "_in_own_weather", over)
+    found = replace(two, kind=kind)
+    if kind == "law":
+        with pytest.raises(OutOfTimeError):
+            search._in_own_weather_in_time(found)
+    else:
+        assert search._in_own_weather_in_time(found) is found
 
 
 def _in_weather(twin: _Somewhere, moved: float) -> Search:
@@ -102,5 +119,7 @@ def test_weather_costs_what_is_believed_of_it_where_no_column_gives_it() -> None
     assert cost_of_weather(colder) == pytest.approx(4.0)
     told = LoggedTwin(recording({**frame, "p_amb_pa": np.full(600, 1e5), "t_amb_k": np.full(600, 290.0)}),
                       we2011.PARAMETERS, values={"p_amb_pa": 9e4})  # fmt: skip
-    assert not is_guessed(told) and cost_of_weather(told) == 0.0
+    (read,) = (item for item in told.circumstances if item.name == "p_amb_pa")
+    assert not is_guessed(told)
+    assert cost_of_weather(told) == pytest.approx((1e4 / read.std) ** 2)  # a barometer is left at what it reads
     assert not is_guessed(Toy()) and cost_of_weather(Toy()) == 0.0
