@@ -20,7 +20,7 @@ from dieseltwin.discovery.twins.diesel_lanes import (
     signals_of_lane,
 )
 from dieseltwin.discovery.twins.diesel_points import LAW_KINDS, LAW_SCOPE, POINT_FACTS, hypotheses_of
-from dieseltwin.discovery.twins.diesel_responses import sooner
+from dieseltwin.discovery.twins.diesel_responses import near, sooner
 from dieseltwin.discovery.twins.diesel_steps import LATE, step_lengths, stiffness
 from dieseltwin.discovery.twins.diesel_variables import variables_along
 from dieseltwin.discovery.twins.interface import Array, Hypothesis, Lanes, Parameter, Point, joined, lane_of
@@ -278,9 +278,9 @@ class EngineTwin:
 
     def _simulate_signals(self, lanes: Lanes) -> tuple[Array, Observations]:
         if sooner(lanes) and not np.any(self.combined(lanes)[0].get(GAS_LAG, 0.0)):  # a lag goes on over restarts
-            result = self._memory.near(
-                lanes, self.starts, self._integrate, lambda some, at, x: self._integrate(some, restarts=(at, x))
-            )
+            alone = replace(lane_of(lanes, 0), lane_points=None, lane_signals=None, linear=False)
+            base = self._memory.trajectories(alone, self._integrate)
+            result = near(lanes, self.starts, base, lambda some, at, x: self._integrate(some, restarts=(at, x)))
         else:
             result = self._memory.trajectories(lanes, self._integrate)
         return self._shown(result, lanes), result

@@ -8,13 +8,11 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from hashlib import blake2b
 
 import numpy as np
 
-from dieseltwin.discovery.twins.diesel_responses import Derivatives, Simulate, near
-from dieseltwin.discovery.twins.interface import Array, Lanes, Point, lane_of, some_lanes
+from dieseltwin.discovery.twins.interface import Array, Lanes, Point, some_lanes
 from dieseltwin.engine import EngineParameters, Inputs
 from dieseltwin.engine.actuation import actuate_lanes
 from dieseltwin.engine.effects import ACTUATION_EFFECTS, EFFECTS, STATE_EFFECTS
@@ -123,24 +121,6 @@ class Memory:
     def __init__(self) -> None:
         self._known: OrderedDict[bytes, tuple[Array, Array]] = OrderedDict()
         self._bytes = 0
-        self._derivatives: tuple[bytes, Derivatives] | None = None
-
-    def near(
-        self, lanes: Lanes, starts: np.ndarray, simulate: Callable[[Lanes], Observations], restarted: Simulate
-    ) -> Observations:
-        """As `diesel_responses.near`, with the derivatives that were taken last where they are next to the same lane:
-        terms without a name and bumps of maps are asked one after the other.
-
-        Args:
-            lanes: alike but for small signals of their own; starts: (W,) first sample of each window.
-            simulate, restarted: the engine, from those starts and from others.
-        """
-        alone = replace(lane_of(lanes, 0), lane_points=None, lane_signals=None, linear=False)
-        (key,) = _keys(alone)
-        known = self._derivatives[1] if self._derivatives is not None and self._derivatives[0] == key else None
-        result, known = near(lanes, starts, self.trajectories(alone, simulate), restarted, known)
-        self._derivatives = key, known
-        return result
 
     def trajectories(self, lanes: Lanes, simulate: Callable[[Lanes], Observations]) -> Observations:
         """States and readings without sensor effects of all lanes; only what isn't known is simulated.

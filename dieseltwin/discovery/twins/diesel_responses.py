@@ -8,7 +8,7 @@ differences over single intervals, two runs of sixteen lanes, however many signa
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,7 +18,6 @@ from dieseltwin.inner import kernel
 
 _STATES = 3  # p_im, p_em, omega_t; the others follow them within a sample
 _STATE_DIFFERENCE = 1e-6  # of a state
-_ABOUT = 30.0  # times: signals are so small that derivatives with one or the other are the same
 
 Simulate = Callable[[Lanes, np.ndarray, Array], Observations]
 """Lanes, restarts (R,), states there (B, R, 3) -> trajectories."""
@@ -29,61 +28,23 @@ def sooner(lanes: Lanes) -> bool:
     return lanes.linear and lanes.size > 2 * (1 + _STATES + 2 * np.unique(np.asarray(lanes.lane_points)).size)
 
 
-@dataclass(frozen=True)
-class Derivatives:
-    """What happens between one sample and the next, next to one lane.
-
-    Attributes:
-        points: (P,) at which signals enter; sizes: (P,) of the signals with which the derivatives were taken.
-        moved: (n, 3, 3 + 2 P) of the next sample's states by the states, the signals at the interval's begin and those
-            at its end.
-        seen: (n, C, 3 + P) of the readings of every sample by the states and the signals.
-    """
-
-    points: np.ndarray
-    sizes: Array
-    moved: Array
-    seen: Array
-
-    def serve(self, points: np.ndarray, sizes: Array) -> bool:
-        """Whether they are those of signals at some points and of about some sizes."""
-        place = np.searchsorted(self.points, points)
-        if np.any(place >= self.points.size) or np.any(self.points[place] != points):
-            return False
-        return bool(np.all(np.abs(np.log(sizes / self.sizes[place])) < np.log(_ABOUT)))
-
-    def of(self, points: np.ndarray) -> tuple[Array, Array]:
-        """`moved` and `seen` of some of the points."""
-        place = np.searchsorted(self.points, points)
-        count = self.points.size
-        states = np.arange(_STATES)
-        ways = np.concatenate([states, _STATES + place, _STATES + count + place])
-        return self.moved[:, :, ways], self.seen[:, :, np.concatenate([states, _STATES + place])]
-
-
-def near(
-    lanes: Lanes, starts: np.ndarray, base: Observations, simulate: Simulate, known: Derivatives | None = None
-) -> tuple[Observations, Derivatives]:
-    """Trajectories of lanes that differ by small signals of their own, to first order, and the derivatives they go by.
+def near(lanes: Lanes, starts: np.ndarray, base: Observations, simulate: Simulate) -> Observations:
+    """Trajectories of lanes that differ by small signals of their own, to first order.
 
     Args:
         lanes: B, alike but for `lane_points` and `lane_signals`.
         starts: (W,) first sample of each window.
         base: of a lane without a signal of its own.
         simulate: the engine.
-        known: derivatives next to that lane, which serve where they are those of these signals.
     """
     points, of_lane = np.unique(np.asarray(lanes.lane_points), return_inverse=True)
     signals = np.asarray(lanes.lane_signals)
     sizes = np.array([np.abs(signals[of_lane == j]).max() for j in range(points.size)])
     sizes = np.where(sizes > 0.0, sizes, 1.0)
-    if known is None or not known.serve(points, sizes):
-        one = some_lanes(lanes, slice(0, 1))
-        known = Derivatives(points, sizes, *_matrices(one, starts, base, simulate, points, sizes))
+    moved, seen = _matrices(some_lanes(lanes, slice(0, 1)), starts, base, simulate, points, sizes)
     states, measured = np.repeat(base.states, lanes.size, axis=0), np.repeat(base.measured, lanes.size, axis=0)
-    moved, seen = (np.ascontiguousarray(part) for part in known.of(points))
     _march(moved, seen, np.ascontiguousarray(signals), of_lane, starts, states, measured)
-    return Observations(states, measured), known
+    return Observations(states, measured)
 
 
 @kernel(error_model="numpy")

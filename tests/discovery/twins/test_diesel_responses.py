@@ -52,25 +52,3 @@ def test_responses_to_corrections_of_maps_are_those_of_the_simulation(name: str,
         up, down = (twin.with_coefficients(sign * step).simulate(lanes)[0] for sign in (1.0, -1.0))
         simulated = (up - down) / (2.0 * _STEP)
         assert np.linalg.norm(response - simulated) < 0.01 * np.linalg.norm(simulated), basis().names[function]
-
-
-def test_derivatives_serve_for_other_signals_at_the_same_points_next_to_the_same_lane(monkeypatch: pytest.MonkeyPatch):
-    twin = EngineTwin(recording(drive(40.0)), we2011.PARAMETERS)
-    lanes = first_fit(twin, Candidate(("boost_leak",)), [2e-5]).lanes()
-    simulated, count = twin.simulate(lanes)[0], twin.time_s.size
-    three, two = np.repeat([1, 4, 6], 12), np.repeat([1, 6], 12)
-    rng = np.random.default_rng(0)
-    first, other = (1e-6 * rng.standard_normal((some.size, count)) for some in (three, two))
-
-    def asked(twin: EngineTwin) -> np.ndarray:
-        return signal_responses(twin, lanes, simulated, two.tolist(), other, linear=True)
-
-    fresh = asked(EngineTwin(recording(drive(40.0)), we2011.PARAMETERS))
-    signal_responses(twin, lanes, simulated, three.tolist(), first, linear=True)
-    integrated = []
-    own = twin._integrate
-    monkeypatch.setattr(twin, "_integrate", lambda some, **more: integrated.append(some.size) or own(some, **more))
-    np.testing.assert_allclose(asked(twin), fresh, atol=1e-4 * np.abs(fresh).max(axis=(0, 1)).max())
-    assert not integrated
-    signal_responses(twin, lanes, simulated, two.tolist(), 1e3 * other, linear=True)  # of another size
-    assert len(integrated) == 2
