@@ -143,7 +143,7 @@ def try_more_pairs(found: Search) -> bool:
 
 def _polished_pairs(found: Search, fits: Sequence[Fit]) -> list[Fit]:
     """Fits of two effects, the leading ones refitted fully, best first, as single effects are compared."""
-    fits = verified(found, polish(found, sorted(fits, key=lambda fit: fit.objective), 3, near=True))
+    fits = verified(found, polish(found, sorted(fits, key=lambda fit: fit.objective), 3))
     return sorted(fits, key=lambda fit: fit.objective)
 
 

@@ -57,6 +57,7 @@ STAGES = ("terms without a name", "onsets and regions", "two effects", "a law")
 """What is looked at behind single effects, in this order."""
 
 _WEATHERS = 3  # in which a name is tried that isn't enough in that of before
+_FAR_BEHIND = 100.0  # -2 log likelihood that further rounds of weather don't make good
 _NEAR_ALARM = 0.5  # of an alarm's gain: from there on a name is looked at in the weather that it asks for
 _WITHIN = 1.25  # times the name's gain: what explains more than that isn't the weather's doing
 
@@ -169,22 +170,30 @@ def _in_own_weather(found: Search) -> Search:
 
 
 def _two_in_own_weather(found: Search) -> Search:
-    """Two effects, or what is found in the weather that the stronger one asks for by itself: whichever is likelier.
+    """Two effects, or the leading one alone in the weather that it asks for, where that is enough and likelier.
 
     The weather that health alone asks for is an effect's to a part, and the rest of it a second effect: of a compressor
-    whose flow was 7.9 % short at 930 hPa that was 897 hPa, 10 K too little in the charge, 5.2 % and a warm intake. That
-    weather takes the place of a true second effect as readily doesn't matter where either is searched in its own.
+    whose flow was 7.9 % short at 930 hPa that was 897 hPa, 10 K too little in the charge, 5.2 % and a warm intake.
     """
-    here = _where_lead_asks(found)
-    if here is found:
+    here = found
+
+    def ahead(gain: float) -> float:
+        spent = pair_bar(found, found.best.fit) if found.best is not None else 0.0
+        return ahead_of(
+            here, found, lambda each: (gain if each is here else found.explained() - spent) - cost_of_weather(each.twin)
+        )
+
+    for _ in range(_WEATHERS):
+        other = in_weather_of(here, here.singles[0])
+        if other is None:
+            break
+        here = about_leading_name(with_singles(prepare(other, found.settings)))
+        if ahead(here.gain(here.singles[0])) < -_FAR_BEHIND:
+            return found
+    if here is found or ahead(here.gain(here.singles[0])) < 0.0:
         return found
     _explain(here)
-
-    def worth(either: Search) -> float:
-        spent = pair_bar(either, either.best.fit) if either.kind == "pair" and either.best is not None else 0.0
-        return either.explained() - spent - cost_of_weather(either.twin)
-
-    return likelier(found, here, worth) if here.kind in ("single", "pair") else found
+    return here if here.kind == "single" else found
 
 
 def _one_in_own_weather(found: Search) -> Search:

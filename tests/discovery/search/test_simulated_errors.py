@@ -81,7 +81,7 @@ def test_a_term_that_seems_ahead_is_simulated(found: Search, monkeypatch: pytest
 
 def test_pairs_that_were_compared_pay_once(found: Search, monkeypatch: pytest.MonkeyPatch) -> None:
     """A first pair of 72 had 27 beside three that were found later and lead linearly."""
-    monkeypatch.setattr(explanations, "polish", lambda found, fits, count, near: list(fits))
+    monkeypatch.setattr(explanations, "polish", lambda found, fits, count: list(fits))
     own = replace(found.anew(), simulated_errors=True)
     _losing(monkeypatch, {"leak": 50.0, "drag": 50.0})
     some, null = own.singles[0], own.null.fit.objective
