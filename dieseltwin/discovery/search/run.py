@@ -6,7 +6,7 @@ Works on any `Twin`. Gains are decreases of -2 log marginal likelihood over the 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from dieseltwin.discovery.likelihood.fit import Fit, Linearisation
 from dieseltwin.discovery.search.alarms import (
@@ -183,11 +183,8 @@ def _two_in_own_weather(found: Search) -> Search:
             here, found, lambda each: (gain if each is here else found.explained() - spent) - cost_of_weather(each.twin)
         )
 
-    for _ in range(_WEATHERS):
-        other = in_weather_of(here, here.singles[0])
-        if other is None:
-            break
-        here = about_leading_name(with_singles(prepare(other, found.settings)))
+    for there in _where_lead_asks(found):
+        here = there
         if ahead(here.gain(here.singles[0])) < -_FAR_BEHIND:
             return found
     if here is found or ahead(here.gain(here.singles[0])) < 0.0:
@@ -205,7 +202,7 @@ def _one_in_own_weather(found: Search) -> Search:
     """
     if found.gain(found.singles[0]) < _NEAR_ALARM * found.gain_of_alarm:
         return found
-    here = _where_lead_asks(found)
+    here = [found, *_where_lead_asks(found)][-1]
     if here is found or not raises_alarm(here, here.singles[0]):
         return found
 
@@ -219,16 +216,16 @@ def _one_in_own_weather(found: Search) -> Search:
     return here if named and ahead(here.explained()) >= here.gain_of_alarm else found
 
 
-def _where_lead_asks(found: Search) -> Search:
-    """The search up to single effects in the weather that the leading one asks for by itself; the same where it is
-    there."""
+def _where_lead_asks(found: Search) -> Iterator[Search]:
+    """Searches up to single effects, each in the weather that the leading one of the search before asks for by itself;
+    none where it is there."""
     here = found
     for _ in range(_WEATHERS):
         other = in_weather_of(here, here.singles[0])
         if other is None:
-            break
+            return
         here = about_leading_name(with_singles(prepare(other, found.settings)))
-    return here
+        yield here
 
 
 def _in_short(twin: Twin, settings: SearchSettings, earlier: Sequence[Search] = ()) -> Search:

@@ -3,8 +3,8 @@
 Next to a kink (no flow back through the EGR valve at p_em = p_im) or where a window is nearly unstable, the tolerances
 take up linearly what no simulation of them does. For a weak misfit that decides: what is ahead there is compared
 again: single effects, pairs, what acts in parts and terms without a name (faults of sensors without one stay linear).
-With single effects alone compared so, the pair of a right name with another one
-was ahead of it by what the right name had lost.
+With single effects alone compared so, the pair of a right name with another one was ahead of it by what the right name
+had lost.
 """
 
 from __future__ import annotations

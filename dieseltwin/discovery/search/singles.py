@@ -18,7 +18,7 @@ from dieseltwin.discovery.search.preparation import lower_without, prepare, prep
 from dieseltwin.discovery.search.renewal import BENDS
 from dieseltwin.discovery.search.state import Search
 
-_REFIT_SHARE = 0.35  # of the best linear gain: weaker hypotheses can't win even when non-linearity moves them
+REFIT_SHARE = 0.35  # of the best linear gain: weaker hypotheses can't win even when non-linearity moves them
 _UNSTUCK_ROUNDS = 6
 _RENEWALS = 3  # about the leading explanation, until it stays the same
 
@@ -104,7 +104,7 @@ def with_singles(
     clock = time.perf_counter()
     ranked = best_of_each(found.scored)
     top = max(ranked[0].gain, 1e-9) if ranked else 0.0
-    kept = [s for k, s in enumerate(ranked) if s.gain > _REFIT_SHARE * top or k < found.settings.refits]
+    kept = [s for k, s in enumerate(ranked) if s.gain > REFIT_SHARE * top or k < found.settings.refits]
     kept = [s for s in kept if only is None or s.name in only] or kept
     fits = refit_all(found.null, [Candidate((s.name,)) for s in kept], [s.response[None] for s in kept])
     promising = [found.settings.unstick and s.gain > found.settings.alarm_gain for s in kept]

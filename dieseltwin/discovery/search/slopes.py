@@ -12,11 +12,11 @@ from dieseltwin.discovery.likelihood.refit import refit_all
 from dieseltwin.discovery.likelihood.score import effect_responses, score, secant_sizes
 from dieseltwin.discovery.search.explanations import polish
 from dieseltwin.discovery.search.simulated_errors import verified
+from dieseltwin.discovery.search.singles import REFIT_SHARE
 from dieseltwin.discovery.search.state import Search
 
 _SHARE = 0.02  # of the size at which an effect is scored
 _STRAIGHT = 1.5  # times its gain by that size: what a name gains by its derivative more than that is worth a refit
-_LEAST_SHARE = 0.35  # of the best linear gain, as for names
 
 
 def refit_by_slopes(found: Search) -> bool:
@@ -31,7 +31,7 @@ def refit_by_slopes(found: Search) -> bool:
         return False
     scored = score(found.null, wanted, effect_responses(found.twin, found.null, wanted))
     gains = [*(item.gain for item in scored), *(item.gain for item in found.everything_unnamed())]
-    least = _LEAST_SHARE * max(gains)
+    least = REFIT_SHARE * max(gains)
     bent = [item for item in scored if item.gain > max(least, _STRAIGHT * known[item.name])]
     if not bent:
         return False

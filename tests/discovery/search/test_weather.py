@@ -92,7 +92,7 @@ def test_a_name_near_an_alarm_is_one_where_the_weather_that_it_asks_for_is_likel
     """A charge cooler's loss of 7 % was 3.7 % and a charge 9 K too warm, which is no alarm."""
     twin = _Somewhere().record(gain=0.95, leak=0.02)
     found = _near_an_alarm(_in_weather(twin, -0.06), 12.0)
-    monkeypatch.setattr(search, "_where_lead_asks", lambda found: _in_weather(twin, 0.0))
+    monkeypatch.setattr(search, "_where_lead_asks", lambda found: [_in_weather(twin, 0.0)])
     chosen = search._one_in_own_weather(found)
     assert chosen.kind == "single" and chosen.singles[0].candidate.names == ("leak",)
     far = _near_an_alarm(found, 6.0)
@@ -103,7 +103,7 @@ def test_weather_that_only_a_name_makes_up_for_is_no_alarm(monkeypatch: pytest.M
     well = _Somewhere().record(gain=0.95)
     found, there = _near_an_alarm(_in_weather(well, 0.0), 12.0), _in_weather(well, 0.06)
     assert there.gain(there.singles[0]) > 100.0
-    monkeypatch.setattr(search, "_where_lead_asks", lambda found: there)
+    monkeypatch.setattr(search, "_where_lead_asks", lambda found: [there])
     assert search._one_in_own_weather(found) is found
 
 
