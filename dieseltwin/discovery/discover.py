@@ -10,7 +10,6 @@ from datetime import UTC, datetime
 import numpy as np
 
 from dieseltwin.discovery.likelihood.circumstances import Estimate, estimates
-from dieseltwin.discovery.likelihood.score import minimum_detectable
 from dieseltwin.discovery.options import Options
 from dieseltwin.discovery.search import preparation, standing
 from dieseltwin.discovery.search import run as search
@@ -25,6 +24,7 @@ from dieseltwin.discovery.verdict.assemble import assemble
 from dieseltwin.discovery.verdict.checks import misfit_of
 from dieseltwin.discovery.verdict.curves import Discovery
 from dieseltwin.discovery.verdict.document import LEFT_OVER, Reference, fit_doubts, with_warnings
+from dieseltwin.discovery.verdict.findings import minimum_detectable
 from dieseltwin.discovery.verdict.left_out import left_out_notes
 from dieseltwin.discovery.verdict.over_recordings import unseen_bias
 from dieseltwin.discovery.verdict.unseen import HealthBias
@@ -60,7 +60,7 @@ class Prepared:
     @property
     def minimum_detectable(self) -> Mapping[str, float]:
         """Effect -> smallest magnitude that would raise an alarm [unit of the effect]."""
-        return minimum_detectable(self.found.scored, self.found.settings.alarm_gain)
+        return minimum_detectable(self.found)
 
     @property
     def health_bias(self) -> HealthBias:

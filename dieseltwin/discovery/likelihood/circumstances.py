@@ -34,12 +34,15 @@ class WithCircumstances(Offer, Protocol):
         values: what is known of it by now, by name; as assumed where not named.
         opened: names of those that were found to be off.
         beliefs: the settings that say how far anything may be off.
+        left_to_clocks: effects that are no others than a clock that is open -> how far that may be off, one standard
+            deviation [unit of the effect].
     """
 
     circumstances: tuple[Circumstance, ...]
     values: Mapping[str, float]
     opened: frozenset[str]
     beliefs: CircumstanceSettings
+    left_to_clocks: Mapping[str, float]
 
     def under(self, values: Mapping[str, float], opened: frozenset[str], like: bool = False) -> Twin:
         """The twin of the recording under other circumstances; `like`: with the same windows and holes."""
@@ -172,6 +175,23 @@ def from_the_middle(
     return values, covariance
 
 
+def shares_of(at: Linearisation, items: Sequence[Circumstance], estimate: Array, places: Sequence[int]) -> Array:
+    """How far from where a twin has them open circumstances (I,) are, in standard deviations of their priors.
+
+    The directions of a fit have their priors about where the twin is; here they are about what was assumed. What a
+    recording says little of would walk away from that, a part of the way each time that the twin is moved.
+
+    Args:
+        at: the fit, linearised with them; items: the circumstances.
+        estimate: (K,) of all its nuisances; places: (I,) of the circumstances among them.
+    """
+    values, share = cast(WithCircumstances, at.twin).values, estimate[list(places)]
+    away = np.array([(values.get(item.name, item.assumed) - item.assumed) / item.std for item in items])
+    if not away.any():
+        return share
+    return np.asarray(share - _covariance(at)[np.ix_(places, places)] @ away)
+
+
 def estimates(at: Linearisation, residual: Array | None = None) -> tuple[Estimate, ...]:
     """What a fit says of the open circumstances, which are the last of its nuisances; clocks as `from_the_middle`.
 
@@ -186,7 +206,8 @@ def estimates(at: Linearisation, residual: Array | None = None) -> tuple[Estimat
     scale = np.array([item.std for item in items])
     covariance = scale[:, None] * _covariance(at)[-len(items) :, -len(items) :] * scale
     left = at.residual if residual is None else residual
-    share = at.metric.nuisance_estimate(np.nan_to_num(left))[-len(items) :]
+    estimate = at.metric.nuisance_estimate(np.nan_to_num(left))
+    share = shares_of(at, items, estimate, range(estimate.size - len(items), estimate.size))
     values = np.array([twin.values.get(item.name, item.assumed) for item in items]) + scale * share
     values, covariance = from_the_middle(twin, items, values, covariance)
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))

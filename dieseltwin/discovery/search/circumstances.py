@@ -19,6 +19,7 @@ from dieseltwin.discovery.likelihood.circumstances import (
     label_of,
     open_circumstances,
 )
+from dieseltwin.discovery.likelihood.circumstances import shares_of as beside_priors
 from dieseltwin.discovery.likelihood.fit import PROMISED, Fit, Linearisation
 from dieseltwin.discovery.likelihood.learned import belief_of
 from dieseltwin.discovery.likelihood.score import score, without_parameters
@@ -153,9 +154,9 @@ def movable(twin: WithCircumstances) -> list[Circumstance]:
 
 def shares_of(found: Search, at: Linearisation, items: Sequence[Circumstance]) -> Array:
     """Estimates of open circumstances under a fit, from where the twin has them, in standard deviations of priors."""
+    labels = [nuisance.label for nuisance in found.nuisances]
     estimate = found.null.metric.nuisance_estimate(np.nan_to_num(at.residual))
-    shares = dict(zip((nuisance.label for nuisance in found.nuisances), estimate, strict=True))
-    return np.array([shares[label_of(item)] for item in items])
+    return beside_priors(at, items, estimate, [labels.index(label_of(item)) for item in items])
 
 
 def _linear_gain(at: Linearisation, twin: WithCircumstances, items: Sequence[Circumstance]) -> float:

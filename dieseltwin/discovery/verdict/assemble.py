@@ -11,7 +11,6 @@ import numpy as np
 from dieseltwin.discovery.laws.terms import law_terms_of
 from dieseltwin.discovery.likelihood.circumstances import Estimate
 from dieseltwin.discovery.likelihood.fit import Fit, Linearisation
-from dieseltwin.discovery.likelihood.score import minimum_detectable
 from dieseltwin.discovery.options import Options
 from dieseltwin.discovery.search.state import Search, occam
 from dieseltwin.discovery.twins.diesel import EngineTwin
@@ -80,15 +79,17 @@ def assemble(
     evidence = _evidence(found, after)
     differ = told_apart(found, days) if mismatch else ""
     location = onset_of(findings.location(found, twin, evidence), found, days) if mismatch else None
-    allowed, smallest = allowance(found, after), minimum_detectable(found.scored, found.settings.alarm_gain)
+    allowed, smallest = allowance(found, after), findings.minimum_detectable(found)
     figures = fit_figures(found, at, allowed)
+    known = {name: (effect.tolerance, effect.unit) for name, effect in twin.hypotheses.items()}
+    known |= {name: (EFFECTS[name].tolerance, EFFECTS[name].unit) for name in findings.left_to_clocks(found)}
     rows = candidate_rows(found)
     curves = Curves(
         time_s=twin.recording_time_s, channels=twin.channels, measured=twin.measured, before=null.simulated,
         after=after, sigma=found.noise.overall.sigma, evidence_over_time=_by_window(found, evidence),
         evidence_map=dict(twin.conditions), evidence=evidence, candidates=rows, laws=_law_curves(found, twin),
-        tolerance={name: h.tolerance for name, h in twin.hypotheses.items()},
-        units={name: h.unit for name, h in twin.hypotheses.items()}, held_out=_held_rows(found),
+        tolerance={name: size for name, (size, _) in known.items()},
+        units={name: unit for name, (_, unit) in known.items()}, held_out=_held_rows(found),
         allowed=allowed, start_s=twin.start_s,
     )  # fmt: skip
     details = details_of_search(found, rows, best)

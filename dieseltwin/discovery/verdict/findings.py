@@ -9,7 +9,9 @@ from typing import Any, cast
 import numpy as np
 from scipy.special import expit, logsumexp
 
+from dieseltwin.discovery.likelihood.circumstances import WithCircumstances
 from dieseltwin.discovery.likelihood.fit import Fit
+from dieseltwin.discovery.likelihood.score import minimum_detectable as smallest_seen
 from dieseltwin.discovery.likelihood.score import surely_found
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.search.variants import Region, Variant, inside_region
@@ -20,6 +22,7 @@ from dieseltwin.discovery.verdict.document import NONE_OF_THESE, Alternative, Fo
 from dieseltwin.discovery.verdict.left_out import LeftOut
 from dieseltwin.discovery.verdict.reasons import split_by
 from dieseltwin.discovery.verdict.when import CONDITIONS
+from dieseltwin.least_squares import Z_90
 from dieseltwin.symbols import INPUT_COLUMNS
 
 _LEAST_PROBABILITY = 1e-3  # of a site or name that is still worth a line
@@ -222,13 +225,29 @@ def effects(found: Search, fit: Fit | None = None) -> tuple[FoundEffect, ...]:
     return tuple(sorted(entries, key=lambda entry: -alone.get(entry.name, 0.0)))
 
 
+def minimum_detectable(found: Search) -> dict[str, float]:
+    """Name -> size at which half of such recordings show an effect [unit]; infinite where none does.
+
+    What is no other than a clock that is open (a valve's dead time) shows where no such clock is to be believed.
+    """
+    gain = found.settings.alarm_gain
+    of_clocks = {name: std * gain**0.5 for name, std in left_to_clocks(found).items()}
+    return {**smallest_seen(found.scored, gain), **of_clocks}
+
+
 def surely_detectable(found: Search) -> dict[str, float]:
     """Name -> size that would have raised an alarm in 19 of 20 such recordings [unit]; none where one was raised."""
     if found.kind != "healthy":
         return {}
     least = {name: found.settings.alarm_size * h.tolerance for name, h in found.twin.hypotheses.items()}
     sizes = surely_found(found.scored, found.gain_of_alarm, least)
-    return {name: float(size) for name, size in sizes.items() if np.isfinite(size)}
+    of_clocks = {name: std * (found.gain_of_alarm**0.5 + Z_90) for name, std in left_to_clocks(found).items()}
+    return {name: float(size) for name, size in {**sizes, **of_clocks}.items() if np.isfinite(size)}
+
+
+def left_to_clocks(found: Search) -> Mapping[str, float]:
+    """`WithCircumstances.left_to_clocks` of a search; none where its twin has no clocks."""
+    return found.twin.left_to_clocks if isinstance(found.twin, WithCircumstances) else {}
 
 
 def too_small(found: Search) -> FoundEffect | None:

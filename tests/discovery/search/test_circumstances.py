@@ -40,6 +40,8 @@ from dieseltwin.discovery.search.circumstances import (
     _may_say_it_all,
     _needed_beside,
     bar_of,
+    movable,
+    shares_of,
 )
 from dieseltwin.discovery.search.preparation import prepare, recentred
 from dieseltwin.discovery.search.settled import Settled
@@ -51,9 +53,11 @@ from dieseltwin.discovery.twins.diesel_circumstances import LoggedTwin
 from dieseltwin.discovery.twins.interface import Twin
 from dieseltwin.discovery.verdict.document import Discrepancy
 from dieseltwin.discovery.verdict.explained import disagreement_of_circumstances
+from dieseltwin.discovery.verdict.findings import minimum_detectable, surely_detectable
 from dieseltwin.discovery.verdict.told import told
 from dieseltwin.engine import we2011
 from dieseltwin.engine.inputs import INPUT_COLUMNS
+from dieseltwin.least_squares import Z_90
 from dieseltwin.recordings.channels import channel_map
 from dieseltwin.recordings.dates import MODIFIED, Dated
 from dieseltwin.recordings.noise import estimate_noise
@@ -448,6 +452,34 @@ def test_a_delay_of_a_command_whose_clock_is_open_is_no_finding() -> None:
         kinds = {p.name: {factor.kind for factor in operators(p, "%")} for p in twin.points if p.unit == "%"}
         assert ("dead_time" in kinds["u_egr"]) is delayed and "play" in kinds["u_egr"]
         assert {"dead_time", "lag", "play"} <= kinds["u_vgt"]
+
+
+def test_a_delay_that_is_left_to_a_clock_shows_where_the_clock_is_not_believed() -> None:
+    """Seven dead times of 0.07 to 0.4 s were unseen beside clocks that were off, and no limit was said."""
+    opened = frozenset({"time_shift:u_egr_pct", "time_shift:u_delta_mg"})
+    found = prepare(LoggedTwin(recording(_driven(60.0)), we2011.PARAMETERS, opened=opened), Options().settings())
+    settings = found.settings
+    smallest, sure = minimum_detectable(found), surely_detectable(found)
+    clock_s = default_search().circumstances.time_shift_s
+    assert smallest["egr_dead_time"] == pytest.approx(clock_s * settings.alarm_gain**0.5)
+    assert sure["egr_dead_time"] == pytest.approx(clock_s * (found.gain_of_alarm**0.5 + Z_90))
+    assert smallest["vgt_dead_time"] < 0.1 * smallest["egr_dead_time"]
+    assert smallest["fuel_lag"] < smallest["egr_dead_time"]  # it bends what is late: no clock does
+
+
+def test_what_a_recording_says_little_of_does_not_walk_away_from_what_was_assumed() -> None:
+    """Each time that the twin was moved the prior was taken anew about where it then was."""
+    twin = LoggedTwin(recording(_driven(60.0)), we2011.PARAMETERS)
+    found = prepare(twin, Options().settings())
+    items = [item for item in movable(twin) if item.name in ("p_amb_pa", "t_im_k")]
+    shares = shares_of(found, found.null, items)
+    twin.values = {item.name: item.assumed + 0.5 * item.std for item in items}
+    known = len(found.null.jacobian)
+    labels = [nuisance.label for nuisance in found.nuisances]
+    at = [known + labels.index(label_of(item)) for item in items]
+    pulled = np.linalg.inv(found.null.joint()[1])[np.ix_(at, at)] @ [0.5, 0.5]
+    assert np.abs(pulled).max() > 1e-4
+    assert shares_of(found, found.null, items) == pytest.approx(shares - pulled)
 
 
 def test_sensors_late_by_more_than_their_responses_reach_are_found_beside_a_fault() -> None:
