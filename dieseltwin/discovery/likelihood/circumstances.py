@@ -175,18 +175,20 @@ def from_the_middle(
     return values, covariance
 
 
-def shares_of(at: Linearisation, items: Sequence[Circumstance], estimate: Array, places: Sequence[int]) -> Array:
+def shares_of(
+    at: Linearisation, twin: WithCircumstances, items: Sequence[Circumstance], estimate: Array, places: Sequence[int]
+) -> Array:
     """How far from where a twin has them open circumstances (I,) are, in standard deviations of their priors.
 
     The directions of a fit have their priors about where the twin is; here they are about what was assumed. What a
     recording says little of would walk away from that, a part of the way each time that the twin is moved.
 
     Args:
-        at: the fit, linearised with them; items: the circumstances.
+        at: the fit, linearised with them; twin: where they are; items: the circumstances.
         estimate: (K,) of all its nuisances; places: (I,) of the circumstances among them.
     """
-    values, share = cast(WithCircumstances, at.twin).values, estimate[list(places)]
-    away = np.array([(values.get(item.name, item.assumed) - item.assumed) / item.std for item in items])
+    share = estimate[list(places)]
+    away = np.array([(twin.values.get(item.name, item.assumed) - item.assumed) / item.std for item in items])
     if not away.any():
         return share
     return np.asarray(share - _covariance(at)[np.ix_(places, places)] @ away)
@@ -207,7 +209,7 @@ def estimates(at: Linearisation, residual: Array | None = None) -> tuple[Estimat
     covariance = scale[:, None] * _covariance(at)[-len(items) :, -len(items) :] * scale
     left = at.residual if residual is None else residual
     estimate = at.metric.nuisance_estimate(np.nan_to_num(left))
-    share = shares_of(at, items, estimate, range(estimate.size - len(items), estimate.size))
+    share = shares_of(at, twin, items, estimate, range(estimate.size - len(items), estimate.size))
     values = np.array([twin.values.get(item.name, item.assumed) for item in items]) + scale * share
     values, covariance = from_the_middle(twin, items, values, covariance)
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))

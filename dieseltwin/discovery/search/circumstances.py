@@ -156,7 +156,8 @@ def shares_of(found: Search, at: Linearisation, items: Sequence[Circumstance]) -
     """Estimates of open circumstances under a fit, from where the twin has them, in standard deviations of priors."""
     labels = [nuisance.label for nuisance in found.nuisances]
     estimate = found.null.metric.nuisance_estimate(np.nan_to_num(at.residual))
-    return beside_priors(at, items, estimate, [labels.index(label_of(item)) for item in items])
+    twin = cast(WithCircumstances, found.twin)
+    return beside_priors(at, twin, items, estimate, [labels.index(label_of(item)) for item in items])
 
 
 def _linear_gain(at: Linearisation, twin: WithCircumstances, items: Sequence[Circumstance]) -> float:
