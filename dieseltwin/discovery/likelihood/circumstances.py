@@ -24,6 +24,8 @@ _ROUNDED_BY = 0.1  # of what an input bends by at a row: a straight line halfway
 _NEAR = 0.1  # of what is worth a word (0.3 kPa, 0.8 K): up to here linear is as good
 _PLAINLY = 4.0  # standard deviations of an estimate: errors of maps are Gaussian in the plant alone
 
+_SAYS_NOTHING = 1e-6  # share of a prior's variance that readings take away, below which they don't answer at all
+
 
 @runtime_checkable
 class WithCircumstances(Offer, Protocol):
@@ -34,15 +36,12 @@ class WithCircumstances(Offer, Protocol):
         values: what is known of it by now, by name; as assumed where not named.
         opened: names of those that were found to be off.
         beliefs: the settings that say how far anything may be off.
-        left_to_clocks: effects that are no others than a clock that is open -> how far that may be off, one standard
-            deviation [unit of the effect].
     """
 
     circumstances: tuple[Circumstance, ...]
     values: Mapping[str, float]
     opened: frozenset[str]
     beliefs: CircumstanceSettings
-    left_to_clocks: Mapping[str, float]
 
     def under(self, values: Mapping[str, float], opened: frozenset[str], like: bool = False) -> Twin:
         """The twin of the recording under other circumstances; `like`: with the same windows and holes."""
@@ -159,6 +158,26 @@ def _middle(values: Array, among: np.ndarray) -> Array:
     ordered = index[np.argsort(values[index])]
     middle = ordered[(index.size - 1) // 2 : index.size // 2 + 1]
     return np.where(np.isin(np.arange(values.size), middle), 1.0 / middle.size, 0.0)
+
+
+def left_to_clocks(at: Linearisation) -> dict[str, float]:
+    """Effects that a twin doesn't try where a clock is open, as they are no others than that (a valve's dead time) ->
+    standard deviation of their size beside what is believed of the clock [unit]; infinite where nothing answers.
+
+    Args:
+        at: a fit, linearised with the circumstances as its last nuisances.
+    """
+    items, known = open_circumstances(at.twin), set(at.twin.hypotheses)
+    clocks = {k: item for k, item in enumerate(items) if item.kind == TIME_SHIFT and set(item.effects) - known}
+    if not clocks or at.nuisance_response is None:
+        return {}
+    unsaid = np.diag(_covariance(at))[-len(items) :]  # share of the prior's variance that the readings leave
+    found: dict[str, float] = {}
+    for k, item in clocks.items():
+        said = 1.0 - float(unsaid[k])
+        std = item.std / said**0.5 if said > _SAYS_NOTHING else np.inf
+        found |= {name: min(std, found.get(name, np.inf)) for name in item.effects if name not in known}
+    return found
 
 
 def from_the_middle(

@@ -134,8 +134,6 @@ class LoggedTwin(EngineTwin):
         values: what is known of it by now; else it is as assumed.
         asked: the same before the clocks of sensors were rounded to whole rows.
         opened: names of those that were found to be off, so that they are open as the unknown ones are.
-        left_to_clocks: effects that are no others than an open clock -> how far that clock may be off, one standard
-            deviation [unit of the effect].
 
     Args:
         recording, engine, sensors, map_tolerance, belief: as of `EngineTwin`.
@@ -170,10 +168,8 @@ class LoggedTwin(EngineTwin):
         untimed = [item for item in self.circumstances if item.kind == TIME_SHIFT and item.name in self.opened]
         columns = {item.column for item in untimed}
         self.points = tuple(replace(point, timed=f"{point.name}_pct" not in columns) for point in self.points)
-        self.left_to_clocks: Mapping[str, float] = {
-            name: item.std for item in untimed for name in item.effects if EFFECTS[name].enters.operator == "dead_time"
-        }
-        self.hypotheses = {name: item for name, item in self.hypotheses.items() if name not in self.left_to_clocks}
+        delays = {name for item in untimed for name in item.effects if EFFECTS[name].enters.operator == "dead_time"}
+        self.hypotheses = {name: item for name, item in self.hypotheses.items() if name not in delays}
 
     def under(self, values: Mapping[str, float], opened: frozenset[str], like: bool = False) -> LoggedTwin:
         """The twin of the recording under other circumstances; `like`: near these, with the windows and holes of this

@@ -139,9 +139,6 @@ class SeveralTwin:
             among_several(name, r): value for r, part in logged.items() for name, value in part.values.items()
         }
         self.opened = frozenset(among_several(name, r) for r, part in logged.items() for name in part.opened)
-        self.left_to_clocks: Mapping[str, float] = {  # what one recording hides is tried in none
-            name: std for part in logged.values() for name, std in part.left_to_clocks.items()
-        }
         self._begin()
 
     def _begin(self) -> None:

@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 from scipy.special import expit, logsumexp
 
-from dieseltwin.discovery.likelihood.circumstances import WithCircumstances
+from dieseltwin.discovery.likelihood.circumstances import left_to_clocks
 from dieseltwin.discovery.likelihood.fit import Fit
 from dieseltwin.discovery.likelihood.score import minimum_detectable as smallest_seen
 from dieseltwin.discovery.likelihood.score import surely_found
@@ -231,7 +231,7 @@ def minimum_detectable(found: Search) -> dict[str, float]:
     What is no other than a clock that is open (a valve's dead time) shows where no such clock is to be believed.
     """
     gain = found.settings.alarm_gain
-    of_clocks = {name: std * gain**0.5 for name, std in left_to_clocks(found).items()}
+    of_clocks = {name: std * gain**0.5 for name, std in left_to_clocks(found.null).items()}
     return {**smallest_seen(found.scored, gain), **of_clocks}
 
 
@@ -241,13 +241,8 @@ def surely_detectable(found: Search) -> dict[str, float]:
         return {}
     least = {name: found.settings.alarm_size * h.tolerance for name, h in found.twin.hypotheses.items()}
     sizes = surely_found(found.scored, found.gain_of_alarm, least)
-    of_clocks = {name: std * (found.gain_of_alarm**0.5 + Z_90) for name, std in left_to_clocks(found).items()}
+    of_clocks = {name: std * (found.gain_of_alarm**0.5 + Z_90) for name, std in left_to_clocks(found.null).items()}
     return {name: float(size) for name, size in {**sizes, **of_clocks}.items() if np.isfinite(size)}
-
-
-def left_to_clocks(found: Search) -> Mapping[str, float]:
-    """`WithCircumstances.left_to_clocks` of a search; none where its twin has no clocks."""
-    return found.twin.left_to_clocks if isinstance(found.twin, WithCircumstances) else {}
 
 
 def too_small(found: Search) -> FoundEffect | None:
