@@ -23,7 +23,6 @@ _LABEL = "circumstance"
 _ROUNDED_BY = 0.1  # of what an input bends by at a row: a straight line halfway between two rows leaves 1/8 of it out
 _NEAR = 0.1  # of what is worth a word (0.3 kPa, 0.8 K): up to here linear is as good
 _PLAINLY = 4.0  # standard deviations of an estimate: errors of maps are Gaussian in the plant alone
-
 _SAYS_NOTHING = 1e-6  # share of a prior's variance that readings take away, below which they don't answer at all
 
 
@@ -83,7 +82,7 @@ def label_of(item: Circumstance) -> str:
     return f"{_LABEL} {item.name}"
 
 
-def _covariance(at: Linearisation) -> Array:
+def nuisance_covariance(at: Linearisation) -> Array:
     """Of the nuisances (K, K) beside parameters, effects and local states, in standard deviations of their priors."""
     known = len(at.jacobian)
     return np.asarray(np.linalg.inv(at.joint()[1])[known:, known:])
@@ -171,7 +170,7 @@ def left_to_clocks(at: Linearisation) -> dict[str, float]:
     clocks = {k: item for k, item in enumerate(items) if item.kind == TIME_SHIFT and set(item.effects) - known}
     if not clocks or at.nuisance_response is None:
         return {}
-    unsaid = np.diag(_covariance(at))[-len(items) :]  # share of the prior's variance that the readings leave
+    unsaid = np.diag(nuisance_covariance(at))[-len(items) :]  # share of the prior's variance that the readings leave
     found: dict[str, float] = {}
     for k, item in clocks.items():
         said = 1.0 - float(unsaid[k])
@@ -194,23 +193,13 @@ def from_the_middle(
     return values, covariance
 
 
-def shares_of(
-    at: Linearisation, twin: WithCircumstances, items: Sequence[Circumstance], estimate: Array, places: Sequence[int]
-) -> Array:
-    """How far from where a twin has them open circumstances (I,) are, in standard deviations of their priors.
+def away_from_assumed(twin: WithCircumstances, items: Sequence[Circumstance]) -> Array:
+    """How far from what was assumed a twin has circumstances (I,), in standard deviations of their priors.
 
-    The directions of a fit have their priors about where the twin is; here they are about what was assumed. What a
-    recording says little of would walk away from that, a part of the way each time that the twin is moved.
-
-    Args:
-        at: the fit, linearised with them; twin: where they are; items: the circumstances.
-        estimate: (K,) of all its nuisances; places: (I,) of the circumstances among them.
+    The directions of a fit have their priors about where the twin is; estimates are drawn back by this times their
+    covariance. What a recording says little of would walk away, a part of the way each time that the twin is moved.
     """
-    share = estimate[list(places)]
-    away = np.array([(twin.values.get(item.name, item.assumed) - item.assumed) / item.std for item in items])
-    if not away.any():
-        return share
-    return np.asarray(share - _covariance(at)[np.ix_(places, places)] @ away)
+    return np.array([(twin.values.get(item.name, item.assumed) - item.assumed) / item.std for item in items])
 
 
 def estimates(at: Linearisation, residual: Array | None = None) -> tuple[Estimate, ...]:
@@ -225,10 +214,10 @@ def estimates(at: Linearisation, residual: Array | None = None) -> tuple[Estimat
     if not items or at.nuisance_response is None or not isinstance(twin, WithCircumstances):
         return ()
     scale = np.array([item.std for item in items])
-    covariance = scale[:, None] * _covariance(at)[-len(items) :, -len(items) :] * scale
+    own = nuisance_covariance(at)[-len(items) :, -len(items) :]
+    covariance = scale[:, None] * own * scale
     left = at.residual if residual is None else residual
-    estimate = at.metric.nuisance_estimate(np.nan_to_num(left))
-    share = shares_of(at, twin, items, estimate, range(estimate.size - len(items), estimate.size))
+    share = at.metric.nuisance_estimate(np.nan_to_num(left))[-len(items) :] - own @ away_from_assumed(twin, items)
     values = np.array([twin.values.get(item.name, item.assumed) for item in items]) + scale * share
     values, covariance = from_the_middle(twin, items, values, covariance)
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))

@@ -15,11 +15,12 @@ import numpy as np
 from dieseltwin.discovery.laws.features import generic_features, score_features
 from dieseltwin.discovery.likelihood.circumstances import (
     WithCircumstances,
+    away_from_assumed,
     from_the_middle,
     label_of,
+    nuisance_covariance,
     open_circumstances,
 )
-from dieseltwin.discovery.likelihood.circumstances import shares_of as beside_priors
 from dieseltwin.discovery.likelihood.fit import PROMISED, Fit, Linearisation
 from dieseltwin.discovery.likelihood.learned import belief_of
 from dieseltwin.discovery.likelihood.score import score, without_parameters
@@ -122,8 +123,7 @@ def _may_say_it_all(found: Search, lead: Linearisation, items: Sequence[Circumst
     single effect does. That fit has them linearly: simulated they explained up to as much again, and 18 where 4 was."""
     if lead is found.null:
         return True
-    labels = [nuisance.label for nuisance in found.nuisances]
-    at = [labels.index(label_of(item)) for item in items]
+    at = _places(found, items)
     covariance = found.null.metric.nuisance_covariance()[np.ix_(at, at)]
     linear = float(shares @ np.linalg.solve(covariance, shares))
     return found.gain(lead.fit) - found.settings.alarm_gain < max(_BENT, PROMISED * linear)
@@ -154,10 +154,18 @@ def movable(twin: WithCircumstances) -> list[Circumstance]:
 
 def shares_of(found: Search, at: Linearisation, items: Sequence[Circumstance]) -> Array:
     """Estimates of open circumstances under a fit, from where the twin has them, in standard deviations of priors."""
+    places = _places(found, items)
+    share = found.null.metric.nuisance_estimate(np.nan_to_num(at.residual))[places]
+    away = away_from_assumed(cast(WithCircumstances, found.twin), items)
+    if not away.any():
+        return share
+    return np.asarray(share - nuisance_covariance(at)[np.ix_(places, places)] @ away)
+
+
+def _places(found: Search, items: Sequence[Circumstance]) -> list[int]:
+    """Of open circumstances among a search's nuisances."""
     labels = [nuisance.label for nuisance in found.nuisances]
-    estimate = found.null.metric.nuisance_estimate(np.nan_to_num(at.residual))
-    twin = cast(WithCircumstances, found.twin)
-    return beside_priors(at, twin, items, estimate, [labels.index(label_of(item)) for item in items])
+    return [labels.index(label_of(item)) for item in items]
 
 
 def _linear_gain(at: Linearisation, twin: WithCircumstances, items: Sequence[Circumstance]) -> float:

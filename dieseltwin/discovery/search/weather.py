@@ -6,7 +6,7 @@ from typing import cast
 
 import numpy as np
 
-from dieseltwin.discovery.likelihood.circumstances import WithCircumstances
+from dieseltwin.discovery.likelihood.circumstances import WithCircumstances, away_from_assumed
 from dieseltwin.discovery.likelihood.fit import Fit, Linearisation
 from dieseltwin.discovery.search.circumstances import bar_of, movable, shares_of, weather_is_read
 from dieseltwin.discovery.search.settled import settle
@@ -79,9 +79,8 @@ def cost_of_weather(twin: Twin) -> float:
     """-2 log density of the weather that a twin is in, over that of what was assumed, or read."""
     if not isinstance(twin, WithCircumstances):
         return 0.0
-    weather = (item for item in movable(twin) if not item.kind)
-    away = [(twin.values.get(item.name, item.assumed) - item.assumed) / item.std for item in weather]
-    return float(np.sum(np.square(away)))
+    weather = [item for item in movable(twin) if not item.kind]
+    return float(np.sum(np.square(away_from_assumed(twin, weather))))
 
 
 def weather_is_settled(found: Search) -> bool:

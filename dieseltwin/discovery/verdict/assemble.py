@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 
 from dieseltwin.discovery.laws.terms import law_terms_of
-from dieseltwin.discovery.likelihood.circumstances import Estimate, left_to_clocks
+from dieseltwin.discovery.likelihood.circumstances import Estimate
 from dieseltwin.discovery.likelihood.fit import Fit, Linearisation
 from dieseltwin.discovery.options import Options
 from dieseltwin.discovery.search.state import Search, occam
@@ -82,7 +82,7 @@ def assemble(
     allowed, smallest = allowance(found, after), findings.minimum_detectable(found)
     figures = fit_figures(found, at, allowed)
     known = {name: (effect.tolerance, effect.unit) for name, effect in twin.hypotheses.items()}
-    known |= {name: (EFFECTS[name].tolerance, EFFECTS[name].unit) for name in left_to_clocks(null)}
+    known |= {name: (EFFECTS[name].tolerance, EFFECTS[name].unit) for name in smallest if name not in known}
     rows = candidate_rows(found)
     curves = Curves(
         time_s=twin.recording_time_s, channels=twin.channels, measured=twin.measured, before=null.simulated,
